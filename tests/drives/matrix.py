@@ -121,7 +121,7 @@ class Station:
 
         try:
             daemon.lifecycle.run(math.inf, ready=begin)
-            daemon.telemetry.check_bus(0.0)
+            daemon.telemetry.check(0.0, 0)
         finally:
             daemon.mailbox.close()
             self.history += daemon.events.all

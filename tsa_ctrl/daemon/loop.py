@@ -181,10 +181,7 @@ class Loop:
         """Write the status for the socket server; once a second, check log, sensors, bus, server and losses."""
         ticker = self._ticker
         if self.cycles % self._check_every == 0:
-            self._telemetry.check_log(self._t(planned), self.cycles * len(self._axes))
-            self._telemetry.check_sensors(self._t(planned))
-            self._telemetry.check_bus(self._t(planned))
-            self._telemetry.check_server(self._t(planned))
+            self._telemetry.check(self._t(planned), self.cycles * len(self._axes))
             self._notices.update_losses(self._t(planned), self.cycles)
         if self.phase in (LoopPhase.SETTLING, LoopPhase.RUNNING):
             self._notices.update_skipped(self._t(planned), planned * 1e-9, self._settings.rate)

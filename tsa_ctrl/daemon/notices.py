@@ -8,6 +8,7 @@ its last state: limits of the rig, and problems without a fault. `Notices` does 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 
 import msgspec
@@ -77,6 +78,7 @@ class Events:
 
 
 TOLD = {
+    None: "its process is gone; no more values",
     LineState.READING: "values come",
     LineState.SILENT: "open, but no value that can be read comes",
     LineState.LOST: "cannot be opened, or was unplugged",
@@ -92,8 +94,7 @@ class AxisSensors:
     def __init__(self, axes: Sequence[AxisSettings]) -> None:
         self._place = tuple((axis.name, sensor) for axis in axes for sensor in axis.serial)
         self._sensors = SerialSensors([sensor for _, sensor in self._place])
-        self._told: dict[int, LineState] = {}
-        self._gone: set[int] = set()
+        self._told: dict[int, LineState | None] = {}
 
     def sources(self, axis: str) -> dict[str, Callable[[float], float]]:
         """Return the function that reads each quantity of the axis `axis`, by the quantity's name."""
@@ -106,16 +107,10 @@ class AxisSensors:
     def check(self, t: float, events: Events) -> None:
         """Add an event for each sensor whose state has changed since the last check; call it about once a second."""
         for index, (axis, sensor) in enumerate(self._place):
-            where = f"serial {sensor.quantity} on {sensor.port}"
-            if not self._sensors.alive(index):
-                if index not in self._gone:
-                    self._gone.add(index)
-                    events.add(t, axis, f"{where}: its process is gone; no more values")
-                continue
-            state = self._sensors.reading(index).state
+            state = self._sensors.reading(index).state if self._sensors.alive(index) else None
             if state is not self._told.get(index, LineState.STARTING) and state in TOLD:
                 self._told[index] = state
-                events.add(t, axis, f"{where}: {TOLD[state]}")
+                events.add(t, axis, f"serial {sensor.quantity} on {sensor.port}: {TOLD[state]}")
 
     def close(self) -> None:
         self._sensors.close()
@@ -158,15 +153,13 @@ class AxisNotices:
         self._axis = axis
         self._events = events
         self._cut = self._repeated = self._missed = self._statusword = 0
-        self._slack = self._contradicted = self._less = False
-        self._confirmed, self._sensor_fails = True, False
+        self._slack = self._contradicted = self._less = self._sensor_fails = False
+        self._confirmed = True
         self._sensor_since = 0.0  # s, when the torque sensor last was as reported
         self._reason = ""
         self._missing: tuple[str, ...] = ()
         self._read_back = (0, 0)  # commands that were read back, and old ones among them
-        self._may_report_cut, self._may_report_repeated = Seldom(), Seldom()
-        self._may_report_missed, self._may_report_outdated = Seldom(), Seldom()
-        self._may_report_bit = {bit: Seldom() for bit, _ in BITS}
+        self._seldom: dict[str, Seldom] = defaultdict(Seldom)  # by kind of notice
 
     def _add(self, t: float, text: str) -> None:
         self._events.add(t, self._axis.name, text)
@@ -187,7 +180,7 @@ class AxisNotices:
         self.update_statusword(t)
         self._update_elongation(t)
         image = self._axis.image
-        if image.repeated != self._repeated and self._may_report_repeated.permits(t):
+        if image.repeated != self._repeated and self._seldom["repeated"].permits(t):
             self._repeated = image.repeated
             nodes = ", ".join(f"{node} {node.repeated}" for node in image.nodes if node.repeated)
             self._add(
@@ -199,7 +192,7 @@ class AxisNotices:
     def _update_torque(self, t: float) -> None:
         law, known = self._axis.law, self._axis.joint_torque
         cut, self._cut = law.cut > self._cut, law.cut  # a limit that is over by the next report is not reported
-        if cut and self._may_report_cut.permits(t):
+        if cut and self._seldom["cut"].permits(t):
             self._add(
                 t,
                 f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
@@ -276,7 +269,7 @@ class AxisNotices:
         word, before = image.statusword, self._statusword
         self._statusword = word
         for bit, words in BITS:
-            if word & bit and not before & bit and self._may_report_bit[bit].permits(t):
+            if word & bit and not before & bit and self._seldom[words].permits(t):
                 self._add(t, f"{image.nodes[0]} {words.format(word)}")
 
     def _update_elongation(self, t: float) -> None:
@@ -302,13 +295,13 @@ class AxisNotices:
         """Report lost commands and answers while torque is permitted; `run` counts the cycles since a restart."""
         image, permitted = self._axis.image, self._axis.terms.permitted
         lost, asked, outdated = self.restart_losses()
-        if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_outdated.permits(t):
+        if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._seldom["outdated"].permits(t):
             self._add(
                 t,
                 f"{image.nodes[0]} held an older command {outdated} of the last {asked} times that 0x6071 was read "
                 "back: commands are lost; look at the cable, the bus load, and the drive's cycle",
             )
-        if permitted and lost >= max(LEAST_LOST, LOST_SHARE * run) and self._may_report_missed.permits(t):
+        if permitted and lost >= max(LEAST_LOST, LOST_SHARE * run) and self._seldom["missed"].permits(t):
             nodes = ", ".join(f"{node} {node.missed}" for node in image.nodes if node.missed)
             self._add(
                 t,

@@ -140,7 +140,7 @@ class Telemetry:
         for process in self._processes:
             process.update(now - start, now, self._events)
         self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
-        self.tell_lease(now - start, start)
+        self._tell_lease(now - start, start)
         if self._events.changed:
             self._events.changed = False
             self._mailbox.publish_text(self._events.encoded())
@@ -150,7 +150,7 @@ class Telemetry:
         """Publish the measurements of this cycle for clients that use them for control; `now` is monotonic, s."""
         self._mailbox.measure(now, cycle, phase, [_measured(axis) for _, axis in self._axes])
 
-    def tell_lease(self, t: float, start: float) -> None:
+    def _tell_lease(self, t: float, start: float) -> None:
         """Add an event when the owner of the set-point changes, with the server's text, at most once a second."""
         if t - self._lease_told >= LEASE_APART and (found := self._mailbox.told()) is not None:
             self._lease_told = t
@@ -184,21 +184,19 @@ class Telemetry:
         terms.sensor_age = ages[Role.TORQUE_SENSOR]
         return _status(axis), tuple(parameter.value for parameter in self._tuners[index].parameters)
 
-    def check_sensors(self, t: float) -> None:
-        """Add an event when a serial sensor is lost or has returned; called about once a second."""
+    def check(self, t: float, records: int) -> None:
+        """Add events about log, sensors, bus and server; called about once a second.
+
+        `records` is the number of records that were passed to the log.
+        """
+        self._check_log(t, records)
         if self._sensors is not None:
             self._sensors.check(t, self._events)
+        self._check_bus(t)
+        self.check_server(t)
 
-    def check_bus(self, t: float) -> None:
-        """Add an event for new error frames and warnings; called about once a second."""
-        self._tell_warnings(t)
-        more = self._rig.error_frames - self._error_frames
-        if more:
-            self._error_frames += more
-            self._events.add(t, "", f"error frames: {more}, the last one: {self._rig.last_error}")
-
-    def _tell_warnings(self, t: float) -> None:
-        """Add an event for each new emergency that the profile classifies as a warning."""
+    def _check_bus(self, t: float) -> None:
+        """Add an event for new error frames, and for each new emergency that the profile classifies as a warning."""
         for index, axis in self._axes:
             for place, health in enumerate(axis.image.nodes):
                 key = (index, place)
@@ -207,6 +205,10 @@ class Telemetry:
                 if more > 0:
                     times = f", {more} times" if more > 1 else ""
                     self._events.add(t, axis.name, f"warning of {health}: {health.warning}{times}")
+        more = self._rig.error_frames - self._error_frames
+        if more:
+            self._error_frames += more
+            self._events.add(t, "", f"error frames: {more}, the last one: {self._rig.last_error}")
 
     def watch_server(self, server: ServerProcess) -> None:
         """Monitor the socket server as well."""
@@ -224,7 +226,7 @@ class Telemetry:
         )
 
     def check_server(self, t: float) -> None:
-        """Replace the socket server if it has ended, and add an event; called about once a second."""
+        """Replace the socket server if it has ended, and add an event."""
         if self._server is None or self._server.alive:
             return
         if self._server.take_over():
@@ -239,11 +241,8 @@ class Telemetry:
             "the run with tsa stop or SIGTERM, and start it again",
         )
 
-    def check_log(self, t: float, records: int) -> None:
-        """Add an event when the log writer fails or has ended; called about once a second.
-
-        `records` is the number of records that were passed to it.
-        """
+    def _check_log(self, t: float, records: int) -> None:
+        """Add an event when the log writer fails or has ended."""
         log = self._log
         if log is None or not self._log_alive:
             self.log_lost += records - self._written if log is not None else 0
