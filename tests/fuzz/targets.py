@@ -28,7 +28,8 @@ from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.dashboard.server import application
-from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.errors import BusError, TsaError, UsageError
+from tsa_ctrl.ipc.protocol import Set
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import read_table, read_waypoints
 from tsa_ctrl.model.parameters import load_model
@@ -139,10 +140,8 @@ class _Feed:
     def status(self) -> dict[str, Any]:
         return {"error": "nobody answers"}
 
-    def set(self, name: object, value: object) -> dict[str, Any]:
-        from tsa_ctrl.dashboard.server import Feed
-
-        return Feed.set(Feed("/nowhere/tsa.sock"), name, value)
+    def set(self, change: Set) -> dict[str, Any]:
+        raise BusError(f"nobody takes {change}")
 
     def stop(self) -> dict[str, Any]:
         return {"signalled": 1}

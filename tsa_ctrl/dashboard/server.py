@@ -25,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -42,7 +43,6 @@ from tsa_ctrl.signals import BANDED, Kind, Place, signals_of
 
 TIMEOUT = 2.0  # s for an answer
 STOP_TIMEOUT = 0.5  # s; a working server answers within milliseconds, later the daemon gets SIGTERM
-LONGEST_NAME = 64
 
 
 class Feed:
@@ -71,23 +71,9 @@ class Feed:
             return None
         return sample if sample["cycle"] else None
 
-    def set(self, name: object, value: object) -> dict[str, Any]:
-        """Change a parameter; the daemon checks its name and bounds.
-
-        Raises:
-            UsageError: the daemon rejected the change.
-            BusError: the daemon did not answer.
-            ValueError: `name` is not a non-empty text of at most `LONGEST_NAME` characters, or `value` is not finite.
-        """
-        if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME:
-            raise ValueError("name: give a parameter as the status lists it, such as knee.compensation")
-        try:
-            number = math.nan if isinstance(value, bool) or not isinstance(value, (int, float)) else float(value)
-        except OverflowError:  # an integer beyond the range of a float
-            number = math.inf
-        if not math.isfinite(number):
-            raise ValueError("value: give a finite number")
-        return self._ask(Set(name, number))
+    def set(self, change: Set) -> dict[str, Any]:
+        """Change a parameter; the daemon checks its name and bounds. Raises UsageError and BusError."""
+        return self._ask(change)
 
     def stop(self) -> dict[str, Any]:
         """Ramp the torque to 0 and end the daemon, over a separate connection; see `Client.stop`.
@@ -265,30 +251,18 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
 
     async def change(request: Request) -> Response:
         try:
-            body = await _body(request)
-            return JSONResponse(await run_in_threadpool(feed.set, body.get("name"), body.get("value")))
-        except (ValueError, UsageError) as error:
+            wanted = await _change(request)
+        except UsageError as error:
             return JSONResponse({"error": str(error)}, 400)
-        except BusError as error:
-            return JSONResponse({"error": str(error)}, 503)
+        return await _answered(run_in_threadpool(feed.set, wanted), 400)
 
     stopping = ThreadPoolExecutor(STOPPING)
 
     async def stop(request: Request) -> Response:
-        try:
-            return JSONResponse(await asyncio.get_running_loop().run_in_executor(stopping, feed.stop))
-        except UsageError as error:
-            return JSONResponse({"error": str(error)}, 403)
-        except BusError as error:
-            return JSONResponse({"error": str(error)}, 503)
+        return await _answered(asyncio.get_running_loop().run_in_executor(stopping, feed.stop), 403)
 
     async def recover(request: Request) -> Response:
-        try:
-            return JSONResponse(await run_in_threadpool(feed.recover))
-        except UsageError as error:
-            return JSONResponse({"error": str(error)}, 400)
-        except BusError as error:
-            return JSONResponse({"error": str(error)}, 503)
+        return await _answered(run_in_threadpool(feed.recover), 400)
 
     hosts = frozenset({f"{LOOPBACK}:{port}", f"localhost:{port}"})
     return Starlette(
@@ -304,20 +278,35 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
     )
 
 
-async def _body(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a request; raise ValueError if it is too long or not an object."""
+async def _answered(asked: Awaitable[dict[str, Any]], rejected: int) -> Response:
+    """Return the daemon's answer, or its error with the status `rejected`, or 503 without an answer."""
+    try:
+        return JSONResponse(await asked)
+    except UsageError as error:
+        return JSONResponse({"error": str(error)}, rejected)
+    except BusError as error:
+        return JSONResponse({"error": str(error)}, 503)
+
+
+class _Change(msgspec.Struct):
+    """Body of a request to change a parameter."""
+
+    name: str
+    value: float
+
+
+async def _change(request: Request) -> Set:
+    """Return the change that a request describes; raise UsageError if it is too long or describes none."""
     data = b""
     async for part in request.stream():
         data += part
         if len(data) > MOST_BODY:
-            raise ValueError(f"the request is longer than {MOST_BODY} bytes")
+            raise UsageError(f"the request is longer than {MOST_BODY} bytes")
     try:
-        body = json.loads(data)
-    except (ValueError, RecursionError):
-        raise ValueError('not JSON; send {"name": ..., "value": ...}') from None
-    if not isinstance(body, dict):
-        raise ValueError('not an object; send {"name": ..., "value": ...}')
-    return body
+        change = msgspec.json.decode(data, type=_Change)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f'not a change: {error}; send {{"name": "knee.compensation", "value": 0.9}}') from None
+    return Set(change.name, change.value)
 
 
 class Poll:
