@@ -88,16 +88,10 @@ SETS: Mapping[str, Published] = MappingProxyType(
         )
     }
 )
-# Sets that were used to test the diagnosis, but have no address from which a program can fetch identical bytes
-ELSEWHERE: Mapping[str, str] = MappingProxyType(
-    {"bam": "its recordings are on a shared drive, see https://github.com/Rhoban/bam; read them with tsa log import"}
-)
 
 
 def find(name: str) -> Published:
     """Return a data set by its name; raise UsageError with the known names."""
-    if name in ELSEWHERE:
-        raise UsageError(f"data: '{name}' cannot be fetched: {ELSEWHERE[name]}")
     if name not in SETS:
         near = difflib.get_close_matches(name, SETS, n=1)
         raise UsageError(
