@@ -52,15 +52,10 @@ class Target:
     def session(self) -> Iterator[Session]:
         from tsa_ctrl.bus.drive.network import frames_of_drives
         from tsa_ctrl.bus.drive.session import Session
-        from tsa_ctrl.bus.wire.link import open_bus
 
-        bus = open_bus(self.bus)
-        try:
-            with Session(bus, self.bus) as session:
-                session.alone(tolerated=frames_of_drives([self.profile]))
-                yield session
-        finally:
-            bus.close()
+        with opened(self.bus) as bus, Session(bus, self.bus) as session:
+            session.alone(tolerated=frames_of_drives([self.profile]))
+            yield session
 
 
 def target_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -69,11 +64,7 @@ def target_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--config", type=click.Path(), help="Controller file with bus, drive and profile."),
         click.option("--axis", "axis_name", help="Axis in the controller file; required if it has several."),
         click.option("--node", type=click.IntRange(1, 127), help="Node id, without a controller file."),
-        click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
-        click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
-        click.option(
-            "--bitrate", default=1_000_000, show_default=True, help="Bit rate, bit/s, if the interface needs it."
-        ),
+        bus_options,
         click.option(
             "--profile",
             default="generic",
@@ -86,6 +77,29 @@ def target_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
+def bus_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that select a bus."""
+    options = (
+        click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
+        click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
+        click.option(
+            "--bitrate", default=1_000_000, show_default=True, help="Bit rate, bit/s, if the interface needs it."
+        ),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def bus_of(interface: str, channel: str, bitrate: int) -> BusSettings:
+    """Return the bus that the options select; raise UsageError for a wrong option."""
+    from tsa_ctrl import settings
+    from tsa_ctrl.bus.settings import BusSettings
+
+    data = {"interface": interface, "channel": channel, "bitrate": bitrate}
+    return settings.convert(data, BusSettings, "command line")
+
+
 def find_target(
     config: str | None,
     axis_name: str | None,
@@ -96,17 +110,15 @@ def find_target(
     profile: str,
 ) -> Target:
     """Return the drive that the options select; raise UsageError unless they select exactly one."""
-    from tsa_ctrl import settings
     from tsa_ctrl.bus.drive.profile import load_profile
-    from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+    from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
 
     if config is None:
         if node is None:
             raise UsageError(
                 "no drive selected; give --config CONTROLLER.toml, or --node with --interface and --channel"
             )
-        data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
-        bus = settings.convert(data, BusSettings, "command line")
+        bus = bus_of(interface, channel, bitrate)
         axis = AxisNodes(name=f"node {node}", drive=DriveSettings(node_id=node, profile=profile))
         folder = "." if profile.endswith(".toml") else "config"
         return Target(bus, axis, load_profile(profile, folder), _PERIOD)
@@ -231,32 +243,14 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> int:
     return int(bool(differences))
 
 
-def bus_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that select a bus."""
-    options = (
-        click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
-        click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
-        click.option(
-            "--bitrate", default=1_000_000, show_default=True, help="Bit rate, bit/s, if the interface needs it."
-        ),
-    )
-    for option in reversed(options):
-        function = option(function)
-    return function
-
-
 @contextmanager
-def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, BusSettings]]:
-    """Open a bus for the block; raise UsageError or BusError if that fails."""
-    from tsa_ctrl import settings
-    from tsa_ctrl.bus.settings import BusSettings
+def opened(settings: BusSettings) -> Iterator[Bus]:
+    """Open a bus for the block; raise BusError if that fails."""
     from tsa_ctrl.bus.wire.link import open_bus
 
-    data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
-    named = settings.convert(data, BusSettings, "command line")
-    bus = open_bus(named)
+    bus = open_bus(settings)
     try:
-        yield bus, named
+        yield bus
     finally:
         bus.close()
 
@@ -279,7 +273,8 @@ def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: i
     from tsa_ctrl.bus.drive.probe import probe, profile_text
     from tsa_ctrl.bus.drive.session import Session
 
-    with opened(interface, channel, bitrate) as (bus, named), Session(bus, named) as session:
+    settings = bus_of(interface, channel, bitrate)
+    with opened(settings) as bus, Session(bus, settings) as session:
         text = profile_text(probe(session, bus.name, node, slot), f"{interface} {channel}")
     if out is None:
         click.echo(text, nl=False)
@@ -304,7 +299,7 @@ def set_node_id_command(node_id: int, interface: str, channel: str, bitrate: int
     """
     from tsa_ctrl.bus.drive import lss
 
-    with opened(interface, channel, bitrate) as (bus, _):
+    with opened(bus_of(interface, channel, bitrate)) as bus:
         found = lss.find(bus)
         named = ", ".join(f"{name} 0x{value:08X}" for name, value in found.identity.items())
         has = "no node id" if found.node_id is None else f"node id {found.node_id}"
