@@ -51,6 +51,14 @@ def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> N
                 raise UsageError(f"{option} {out}: is {path}, which is read; choose another file")
 
 
+def make_folder(folder: Path, remedy: str = "choose another --out") -> None:
+    """Create a folder and its parents if they do not exist; raise UsageError with the remedy if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be created ({error.strerror}); {remedy}") from None
+
+
 def backups(path: Path) -> dict[int, Path]:
     """Return the backups `NAME.~N~` of a file by N, oldest first."""
     pattern = re.compile(re.escape(path.name) + r"\.~(\d+)~")

@@ -21,13 +21,11 @@ from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.causes import Cause
 
-LISTED = cli.list_commands(click.Context(cli))
-
 
 def commands() -> list[str]:
     """Return all commands, with a group replaced by its subcommands."""
     found: list[str] = []
-    for verb in LISTED:
+    for verb in VERBS:
         command = cli.get_command(click.Context(cli), verb)
         if isinstance(command, click.Group):
             found += [f"{verb} {name}" for name in command.list_commands(click.Context(command))]
@@ -79,7 +77,6 @@ def test_a_number_that_is_none_is_one_line_and_code_2() -> None:
 
 
 def test_unknown_verb_is_one_line_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert sorted(LISTED) == sorted(VERBS)
     assert failed("diagnoze").startswith("tsa: No such command 'diagnoze'")
     assert "did you mean 'status'?" in failed("stat")
     monkeypatch.setenv("SHELL", "/bin/tcsh")
@@ -121,7 +118,7 @@ for name in sys.argv[2:]:
 
 def test_help_and_completion_load_nothing_that_is_slow_to_load() -> None:
     heavy = "numba scipy matplotlib canopen can numpy mcap tomlkit rich.console starlette"
-    names = [module_of(verb) for verb in LISTED]
+    names = [module_of(verb) for verb in VERBS]
     found = subprocess.run([sys.executable, "-c", LOADED, heavy, *names], capture_output=True, text=True, check=True)
     assert found.stdout.splitlines() == [f"{name} []" for name in names]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ import click
 from click.shell_completion import get_completion_class
 
 from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.outputs import make_folder
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.version import __version__
 
@@ -60,13 +60,13 @@ def module_of(verb: str) -> str:
 
 
 class LazyGroup(click.Group):
-    """Load `tsa_ctrl.cli.NAME` on first use; a command is listed if its module exists."""
+    """Load `tsa_ctrl.cli.NAME` on first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [verb for verb in VERBS if importlib.util.find_spec(module_of(verb)) is not None]
+        return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in self.list_commands(ctx):
+        if cmd_name not in VERBS:
             return None
         name = f"{cmd_name}_command" if cmd_name in RUNNING else "command"
         command = getattr(importlib.import_module(module_of(cmd_name)), name)
@@ -77,16 +77,14 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Suggest a similar command, because click searches only the loaded commands, and none is loaded."""
-        near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=1)
-        if args[0] not in self.list_commands(ctx) and near and not ctx.resilient_parsing:
+        near = difflib.get_close_matches(args[0], VERBS, n=1)
+        if args[0] not in VERBS and near and not ctx.resilient_parsing:
             ctx.fail(f"No such command '{args[0]}'; did you mean '{near[0]}'?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        verbs = [(verb, VERBS[verb]) for verb in self.list_commands(ctx)]
-        if verbs:
-            with formatter.section("Commands"):
-                formatter.write_dl(verbs)
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
 
 
 def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -99,10 +97,7 @@ def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> N
         raise UsageError(f"--install-completion: no completion for shell '{shell}'; set SHELL to {', '.join(PLACES)}")
     place, hint = PLACES[shell]
     path = Path.home() / place
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{path.parent}: cannot be created ({error.strerror}); correct its owner") from None
+    make_folder(path.parent, "correct its owner")
     write_text(path, maker(ctx.command, {}, "tsa", "_TSA_COMPLETE").source())
     click.echo(f"{path}: written; {hint}")
     ctx.exit()

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tsa_ctrl.cli.options import Finite
+from tsa_ctrl.cli.options import Finite, progress_bar
 from tsa_ctrl.outputs import json_types, terminal
 
 if TYPE_CHECKING:
@@ -31,8 +30,6 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
     drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process
     simulates them, and a run at the highest rate confirms it. Exit code 1: a drive did not confirm that it is off.
     """
-    from rich.progress import Progress
-
     from tsa_ctrl.config import load_configuration
 
     configuration = load_configuration(controller)
@@ -40,15 +37,8 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
 
     unconfirmed: list[str] = []
     try:
-        with Progress(console=terminal(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
-            task = bar.add_task("bench", total=1.0)
-            found = bench(
-                configuration,
-                seconds,
-                margin,
-                lambda what, share: bar.update(task, description=what, completed=share),
-                unconfirmed.append,
-            )
+        with progress_bar("bench") as say:
+            found = bench(configuration, seconds, margin, say, unconfirmed.append)
     finally:
         for line in unconfirmed:
             click.echo(line, err=True)

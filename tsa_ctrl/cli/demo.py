@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from tsa_ctrl.cli.options import Finite
+from tsa_ctrl.cli.options import Finite, progress_bar
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.outputs import terminal
+from tsa_ctrl.outputs import make_folder, terminal, untaken
 
 if TYPE_CHECKING:
     from tsa_ctrl.demo.circle import Circle
@@ -145,7 +144,7 @@ def _leg(seconds: float | None, out: Path | None, as_json: bool) -> None:
     folder = _folder(out)
     texts, motions = init.leg()
     init.write(folder, {**texts, **motions})
-    with _progress(VIRTUAL) as say:
+    with progress_bar(f"demo on {VIRTUAL.name}") as say:
         found = demo(folder, SECONDS if seconds is None else seconds, say)
     if as_json:
         click.echo(json.dumps(found.to_dict(), allow_nan=False))
@@ -165,7 +164,7 @@ def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, aske
     from tsa_ctrl.demo.rig import VIRTUAL
 
     try:
-        with _progress(chosen) as say:
+        with progress_bar(f"demo on {chosen.name}") as say:
             return show(chosen, say)
     except BusError as error:
         if chosen.virtual:
@@ -173,7 +172,7 @@ def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, aske
         if asked:
             raise BusError(f"{error}; tsa demo --virtual runs the same without a bus") from None
         click.echo(f"demo on {chosen.name}: {error}; continuing in virtual time, without a bus", err=True)
-    with _progress(VIRTUAL) as say:
+    with progress_bar(f"demo on {VIRTUAL.name}") as say:
         return show(VIRTUAL, say)
 
 
@@ -185,18 +184,6 @@ def _bus(asked: str | None, virtual: bool) -> BusChoice:
     if asked is not None:
         raise UsageError(f"demo: --virtual with --bus {asked}: virtual time has no bus; omit one of them")
     return VIRTUAL
-
-
-@contextlib.contextmanager
-def _progress(bus: BusChoice) -> Iterator[Progress]:
-    """Show the current step and its share on stderr if stderr is a terminal."""
-    from rich import progress as bars
-
-    console = terminal(stderr=True)
-    columns = (bars.TextColumn("{task.description}", markup=False), bars.BarColumn(), bars.TimeElapsedColumn())
-    with bars.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(f"demo on {bus.name}", total=1.0)
-        yield lambda what, share: progress.update(task, description=what, completed=share)
 
 
 def _full_circle(
@@ -228,14 +215,8 @@ def _full_circle(
 
 
 def _folder(out: Path | None) -> Path:
-    from tsa_ctrl.outputs import untaken
-
-    if out is None:
-        out = untaken(Path("out"), "demo")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be created ({error.strerror}); choose another --out") from None
+    out = untaken(Path("out"), "demo") if out is None else out
+    make_folder(out)
     return out.resolve()
 
 

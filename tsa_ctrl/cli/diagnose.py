@@ -106,10 +106,7 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
     from tsa_ctrl.demo import example
 
     folder = outputs.untaken(Path("out"), "example") if out is None else out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be created ({error.strerror}); choose another --out") from None
+    outputs.make_folder(folder)
     click.echo(f"running the loop on a simulated joint, in virtual time: {folder}", err=True)
     made = example.make(folder.resolve(), seed)
     result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed, False, None)

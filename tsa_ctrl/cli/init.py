@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import make_folder
 
 if TYPE_CHECKING:
     from tsa_ctrl.demo.rig import Play
@@ -239,10 +240,7 @@ def write(folder: Path, texts: Mapping[Path, str]) -> None:
     taken = [str(folder / name) for name in texts if (folder / name).exists()]
     if taken:
         raise UsageError(f"{taken[0]}: already exists, nothing was written; choose another folder: tsa init DIR")
-    try:
-        (folder / "drives").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be created ({error.strerror}); choose another folder") from None
+    make_folder(folder / "drives", "choose another folder")
     for name, text in texts.items():
         write_text(folder / name, text)
 

@@ -13,6 +13,7 @@ import click
 
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.outputs import make_folder
 
 EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plant.toml --out out/investigation"
 
@@ -103,10 +104,7 @@ def command(
             raise UsageError(f"investigate: would {question.removesuffix(' Start?')}; confirm with --yes")
         click.confirm(question, abort=True, err=True)
     session.check_ready()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be created ({error.strerror}); choose another --out") from None
+    make_folder(out)
     folder = out.resolve()
     simulated = None if plant is None else Origin("simulated")
 

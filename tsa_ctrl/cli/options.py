@@ -1,11 +1,15 @@
-"""Options that several commands share, and a number type that rejects nan and infinity."""
+"""Options that several commands share, a number type that rejects nan and infinity, and a progress bar."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import click
+
+from tsa_ctrl.outputs import terminal
 
 
 class Finite(click.FloatRange):
@@ -39,3 +43,15 @@ STRICT = click.option(
     is_flag=True,
     help="Reject late rows, lost samples, duplicate time stamps, gaps and spikes instead of repairing them.",
 )
+
+
+@contextlib.contextmanager
+def progress_bar(step: str) -> Iterator[Callable[[str, float], None]]:
+    """Show the current step and its share on stderr if it is a terminal; yield the function that updates both."""
+    from rich import progress as bars
+
+    console = terminal(stderr=True)
+    columns = (bars.TextColumn("{task.description}", markup=False), bars.BarColumn(), bars.TimeElapsedColumn())
+    with bars.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(step, total=1.0)
+        yield lambda what, share: progress.update(task, description=what, completed=share)

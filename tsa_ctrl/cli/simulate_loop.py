@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tsa_ctrl.cli.options import Finite
+from tsa_ctrl.cli.options import Finite, progress_bar
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.virtual.result import Simulation
 
+SIMULATING = "simulating"
 NO_SECONDS = "--seconds is missing; give the duration with torque in s"
 MOST_LOG = 4_000_000_000  # bytes of a log in a field report: some hours of four axes
 
@@ -77,7 +77,8 @@ def command(
     elif seconds is None:
         raise UsageError(NO_SECONDS)
     else:
-        with _progress() as tick:
+        with progress_bar(SIMULATING) as say:
+            tick = partial(say, SIMULATING)
             simulation = simulate_loop(
                 controller, plant, seconds, out=out, record=record, seed=seed, faults=faults, changes=changes, tick=tick
             )
@@ -115,7 +116,7 @@ def _repeated(
         duration = seconds if seconds is not None or old is None else old.seconds
         if duration is None:
             raise UsageError(NO_SECONDS)
-        with _progress() as tick:
+        with progress_bar(SIMULATING) as say:
             simulation = simulate_loop(
                 replay.controller,
                 on,
@@ -125,7 +126,7 @@ def _repeated(
                 seed=seed if seed is not None or old is None else old.seed,
                 faults=faults or (old.faults if old else ()),
                 changes=changes or (old.changes if old else ()),
-                tick=tick,
+                tick=partial(say, SIMULATING),
             )
         if changed:
             click.echo("not compared with the log: the arguments differ", err=True)
@@ -151,18 +152,6 @@ def _log_of(report: Path, folder: Path) -> Path:
     except Exception as error:  # zipfile and each compression have their own errors for damage and encryption
         reason = str(error) or "it ends early"
         raise UsageError(f"{report}: not a field report ({reason}); give a file that tsa bundle wrote") from None
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[float], None]]:
-    """Show the share of the simulated time on stderr if it is a terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = terminal(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("simulating", total=1.0)
-        yield lambda share: progress.update(task, completed=share)
 
 
 def _show(simulation: Simulation) -> None:

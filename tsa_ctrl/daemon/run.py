@@ -26,7 +26,7 @@ from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.ipc.server_process import ServerProcess
 from tsa_ctrl.log.process import LOG_KIND, LOG_SUFFIX, LogLimits, LogProcess
 from tsa_ctrl.log.ring import RingWriter
-from tsa_ctrl.outputs import untaken
+from tsa_ctrl.outputs import make_folder, untaken
 from tsa_ctrl.readiness import Nodes, missing, missing_on_bus, require
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.compiling import on_compile
@@ -61,10 +61,7 @@ class Children:
 
     def _start_log(self, configuration: Configuration) -> LogProcess:
         folder = configuration.log_folder
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(f"{folder}: the log folder cannot be made ({error.strerror}); choose another") from None
+        make_folder(folder, "choose another log folder")
         self.ring = RingWriter(len(configuration.file.axes))
         log = configuration.file.log
         limits = LogLimits(log.file_size * MEGA, log.file_age, log.folder_size and log.folder_size * MEGA)
