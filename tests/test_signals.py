@@ -50,8 +50,8 @@ from tsa_ctrl.dashboard.server import signals_shown
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.page import SHOWN
 from tsa_ctrl.ipc.protocol import Status
-from tsa_ctrl.live.server import foxglove_layout, plotjuggler_layout
-from tsa_ctrl.live.server import schema_of
+from tsa_ctrl.live import foxglove_layout, plotjuggler_layout
+from tsa_ctrl.live import schema_of
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.signals import Place
 

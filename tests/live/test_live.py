@@ -27,7 +27,7 @@ from tsa_ctrl.ipc.protocol import Event
 pytest.importorskip("foxglove")
 client = pytest.importorskip("websockets.sync.client")
 
-from tsa_ctrl.live.server import Publisher, write_layouts  # noqa: E402 (after the check that the extra is there)
+from tsa_ctrl.live import Publisher, write_layouts  # noqa: E402 (after the check that the extra is there)
 
 
 class Loop:

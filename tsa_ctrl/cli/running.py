@@ -263,7 +263,7 @@ def live_command(path: str, port: int, rate: float, settable: bool, folder: Path
     """
     if importlib.util.find_spec("foxglove") is None:
         raise UsageError("foxglove-sdk not installed; pip install '.[live]'")
-    from tsa_ctrl.live.server import Publisher, write_layouts
+    from tsa_ctrl.live import Publisher, write_layouts
 
     publisher = Publisher(path, port, settable)
     try:
