@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import struct
 
 from tsa_ctrl.bus.wire.bus import Frame
 
@@ -46,13 +45,3 @@ def spoil(frame: Frame, draw: random.Random) -> list[Frame]:
     if kind == 5:
         return [(can_id, draw.randbytes(len(data)))]
     return [(draw.choice(KNOWN), data), frame]
-
-
-def sdo_request(draw: random.Random, objects: tuple[tuple[int, int], ...]) -> bytes:
-    """Return an SDO request, mostly for an existing object and mostly with a valid command."""
-    index, sub = draw.choice(objects) if draw.random() < 0.9 else (draw.randrange(1 << 16), draw.randrange(256))
-    command = draw.choice((0x23, 0x27, 0x2B, 0x2F, 0x22, 0x40, 0x21, 0x60, 0x70, 0x00, 0x10, 0x0D, 0x80, 0xA0, 0xC1))
-    if draw.random() < 0.1:
-        command = draw.randrange(256)
-    value = draw.choice((0, 1, 10, 0x80, 0xFFFF, 0xFFFFFFFF, draw.randrange(1 << 32)))
-    return struct.pack("<BHBI", command, index, sub, value)

@@ -6,7 +6,12 @@ A call raises an exception only for a defect.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
 import logging
+import math
+import shutil
+import socket
 import struct
 import tempfile
 from collections.abc import Callable
@@ -19,20 +24,30 @@ import numpy as np
 from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import Responder, cycle, one_axis_rig
 from tests.conftest import ROOT
+from tests.daemon.serving import description
 from tests.fuzz.corpus import Target
+from tests.fuzz.frames import NODES
 from tests.log.logs import write_log
+from tests.plant.bench import Bench
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.eds import read_eds
 from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
+from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.bus import Frame
+from tsa_ctrl.config import load_configuration
 from tsa_ctrl.dashboard.server import application
 from tsa_ctrl.errors import BusError, TsaError, UsageError
+from tsa_ctrl.ipc.connection import listen
+from tsa_ctrl.ipc.mailbox import RECOVER, Mailbox
 from tsa_ctrl.ipc.protocol import Set
+from tsa_ctrl.ipc.server import Server
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import read_table, read_waypoints
 from tsa_ctrl.model.parameters import load_model
+from tsa_ctrl.plant.cia402 import PowerState
+from tsa_ctrl.plant.process import check as load_plant
 from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.sensors.reader import LineParser
 
@@ -52,11 +67,16 @@ def _folder() -> Path:
     return Path(_kept().name)
 
 
-def _in_file(suffix: str, read: Callable[[Path], object]) -> Callable[[bytes], None]:
-    """Return a target that writes the input to a file and reads it. A one-line UsageError is permitted."""
+def _in_file(suffix: str, read: Callable[[Path], object], beside: Path | None = None) -> Callable[[bytes], None]:
+    """Return a target that writes the input to a file and reads it. A one-line UsageError is permitted.
+
+    The files of the folder `beside` are next to it.
+    """
 
     def call(data: bytes) -> None:
         path = _folder() / f"input{suffix}"
+        if beside is not None and not (_folder() / "drives").exists():
+            shutil.copytree(beside, _folder(), dirs_exist_ok=True)
         path.write_bytes(data)
         try:
             read(path)
@@ -96,6 +116,63 @@ def _frames(data: bytes) -> None:
             payload = struct.pack("<BHB", 0x4B, *key) + (payload + bytes(4))[:4]
         bus.waiting.append((IDS[number], payload))
         place += 2 + length
+
+
+@cache
+def _machine() -> Bench:
+    return Bench(_folder())
+
+
+def _nodes(data: bytes) -> None:
+    """Pass the input to simulated nodes with torque, ten bytes per frame: a reset restores every node.
+
+    A first byte of at least 128 is an SDO request. All answers are valid frames, and only an enabled drive has torque.
+    """
+    bench = _machine()
+    bench.send(0x000, b"\x81\x00")
+    bench.set_up()
+    bench.enable(500)
+    drive = bench.unit.drive
+    for place in range(0, len(data), 10):
+        frame = data[place : place + 10]
+        can_id = 0x600 + NODES[frame[0] % 3] if frame[0] & 0x80 else IDS[frame[0] % len(IDS)]
+        for answer_id, answer in bench.send(can_id, frame[2 : 2 + (8 if frame[0] & 0x80 else frame[0] // 15)]):
+            assert 0 <= answer_id < 0x800
+            assert len(answer) == 8 if 0x580 < answer_id < 0x600 else len(answer) <= 8
+        if frame[0] % 4 == 0:
+            bench.clock.now += 1e-3
+            bench.machine.tick(bench.clock.now)
+        assert not drive.command.torque or drive.machine.state is PowerState.OPERATION_ENABLED
+    bench.send(0x000, b"\x81\x00")
+    assert [bench.upload(node, 0x1000, 0, "I") & 0xFFFF for node in NODES] == [0x0192, 0x0196, 0x0194]
+    assert not drive.command.enabled
+
+
+def _socket(data: bytes) -> None:
+    """Send requests to the socket server: each line gets an answer, and only values within bounds reach the loop."""
+    path, now = _folder() / "tsa.sock", 100.0
+    mailbox = Mailbox(2, 2)
+    server = Server(listen(str(path), None), mailbox, description(path, ["knee", "hip"]), lambda: now)
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(path))
+        client.sendall(data[:4000] + b"\n")
+        for _ in range(2 + data.count(b"\n")):
+            server.step(0.0)
+            server.step(0.0)
+        client.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            for line in client.recv(1 << 20).splitlines():
+                found = json.loads(line)
+                assert found.get("ok", True) or found["error"]
+    while (command := mailbox.take()) is not None:
+        low, high = {0: (0.0, 1.2), RECOVER: (0.0, 0.0)}[command.parameter]
+        assert command.axis in (0, 1)
+        assert low <= command.value <= high
+    assert abs((mailbox.wanted(0) or (0.0,))[0]) <= 2.0
+    assert mailbox.wanted(1) in (None, (0.0, -math.inf))
+    server.close()
+    mailbox.close()
+    path.unlink()
 
 
 class _Answers:
@@ -241,6 +318,29 @@ def targets() -> tuple[Target, ...]:
             (b"\x11", b"\x12\x13", b"\x09\x08"),
         ),
         Target(
+            "nodes",
+            _nodes,
+            (bytes.fromhex("81004000100000000000c0002b406000000000000b000600000000000000"),),
+            (b"\x80\x00", b"\x2b\x71\x60", b"\x40\x18\x10", b"\x2f\x00\x16", b"\x23\x00\x14\x01", b"\x0b\x00\x0f"),
+        ),
+        Target(
+            "socket",
+            _socket,
+            tuple(
+                json.dumps(request).encode()
+                for request in (
+                    {"verb": "status"},
+                    {"verb": "set", "name": "knee.compensation", "value": 0.5},
+                    {"verb": "setpoint", "axis": "knee", "value": -0.25, "time": 99.9},
+                    {"verb": "setpoint", "axis": "knee", "value": 1.5, "quiet": True},
+                    {"verb": "lease", "seconds": 0.05},
+                    {"verb": "events", "since": 0},
+                    {"verb": "recover"},
+                )
+            ),
+            _text('"', "{", "}", "[", ":", "null", "true", '"verb"', '"stop', "hip", "\n", "NaN", "1e999", "-1e308"),
+        ),
+        Target(
             "sdo",
             _sdo,
             (b"\xfe\x02AAAA\x00\x00" * 6, b"\x80\x41\x60\x00\x00\x00\x02\x06", b"\x41\x61\x60\x00\x14\x00\x00\x00"),
@@ -264,6 +364,19 @@ def targets() -> tuple[Target, ...]:
             _in_file(".toml", load_model),
             ((CONFIG / "actuator.toml").read_bytes(),),
             _text("[pretension]", "value = ", "nan", "[effects.backlash]", "=", "\n", '"', "[[", "{}", "unit"),
+        ),
+        *(
+            Target(
+                name,
+                _in_file(".toml", read, CONFIG),
+                ((CONFIG / seed).read_bytes(),),
+                _text("[axis]", "[[axis]]", "[bus]", "# ", "= ", "\n", "true", '"../../etc/passwd"', "07:32:00"),
+            )
+            for name, seed, read in (
+                ("controller", "controller.toml", load_configuration),
+                ("plant", "plant.toml", load_plant),
+                ("profile", "drives/epos4.toml", lambda path: load_profile(str(path), path.parent)),
+            )
         ),
         Target(
             "csv",

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.fuzz import configuring, files, master, nodes, requests
+from tests.fuzz import configuring, master
 from tests.fuzz.corpus import Target
 from tests.fuzz.part import Part
 from tests.fuzz.targets import targets
@@ -19,10 +19,7 @@ from tsa_ctrl.safety.supervisor import Supervisor
 
 DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part, number of inputs, required events
     (master.run, 30_000, ("cycles with torque", "faults")),
-    (nodes.run, 20_000, ("answers", "frames with torque", "resets")),
     (configuring.run, 6, ("succeeded",)),
-    (requests.run, 2_000, ("refused", "taken", "commands", "told: refused", "alive")),
-    (files.run, 300, ("refused", "taken")),
 ]
 
 

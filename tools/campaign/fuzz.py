@@ -1,17 +1,13 @@
-"""Send invalid input to loop, plant, bring-up, socket and files, and detect crashes, torque and leaks.
+"""Send invalid frames to loop and bring-up, and detect crashes, torque and leaks.
 
 Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
 
   loop      corrupted, random and false frames to the daemon's loop on a bus in memory; an independent check of the
             frames decides when torque is permitted
-  plant     random frames and SDO requests to the simulated nodes; after each batch a reset must restore them
   bring-up  startup on a bus that corrupts SDO answers; it must succeed, or fail with one line
-  socket    corrupted requests to the socket server
-  files     corrupted configuration files to every reader
 
-The parts loop and plant receive half of --frames each, and the other parts a smaller share. Memory and descriptors
-after the first quarter are compared with those at the end. Exit code 1: a problem was found. The same seed reproduces
-it.
+The part loop receives --frames, and bring-up a smaller share. Memory and descriptors after the first quarter are
+compared with those at the end. Exit code 1: a problem was found. The same seed reproduces it.
 """
 
 from __future__ import annotations
@@ -19,17 +15,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from tests.fuzz import configuring, files, master, nodes, requests
+from tests.fuzz import configuring, master
 from tests.fuzz.part import Part
 from tools import command
 from tools.command import Row
 
 PARTS: dict[str, Callable[[int, int], Part]] = {  # frames, seed
-    "loop": lambda frames, seed: master.run(frames // 2, seed),
-    "plant": lambda frames, seed: nodes.run(frames // 2, seed),
+    "loop": master.run,
     "bring-up": lambda frames, seed: configuring.run(max(4, frames // 5000), seed),
-    "socket": lambda frames, seed: requests.run(max(100, frames // 10), seed),
-    "files": lambda frames, seed: files.run(max(100, frames // 100), seed),
 }
 MOST_GROWTH = 16 << 20  # bytes; larger growth is a leak
 
