@@ -39,7 +39,10 @@ def test_status_is_one_json_object_or_a_page(serving: Serving) -> None:
     """The object has the documented keys. The page shows values, parameters and histograms."""
     status = json.loads(call(serving, "status", "--json").output)
     assert (status["schema"], status["faults"]) == (1, [])
-    assert {"name", "state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(status["axes"][0])
+    (knee,) = status["axes"]
+    assert {"name", "state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(knee)
+    assert (knee["state"], knee["tau_j"], knee["tau_j_model"]) == ("operation_enabled", None, None)
+    assert knee["tau_j_stretch"] == {"value": 0.25, "low": 0.25, "high": 0.25, "unit": "N*m"}
     output = call(serving, "status").output
     for words in ("rig: running", "knee: operation_enabled", "tau_j_des", "compensation", "lateness", "p99"):
         assert words in output

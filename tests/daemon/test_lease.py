@@ -233,12 +233,6 @@ def test_a_value_renews_it_and_silence_ends_it(desk: Desk) -> None:
     assert other.ask("lease", seconds=0.2)["ok"]
 
 
-def test_a_time_out_of_bounds_is_refused(desk: Desk) -> None:
-    client = desk.client()
-    for seconds in (0.0, -1.0, 0.019, 10.1, 1e300):
-        assert "allowed is 0.02 to 10 s" in client.ask("lease", seconds=seconds)["error"]
-
-
 def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:
     """In a stream of values without answers, the server confirms the newest value four times in each lease time."""
     owner = desk.client()
@@ -309,29 +303,6 @@ class _Closed:
 
     def select(self, timeout: float) -> list[Any]:
         return []
-
-
-def test_events_are_listed_from_a_number_on(desk: Desk) -> None:
-    before = {"number": 0, "t": 1.0, "axis": "", "text": "before", "fault": False}
-    after = {"number": 1, "t": 2.0, "axis": "knee", "text": "drive fault", "fault": True}
-    desk.mailbox.publish_text(msgspec.json.encode([before, after]))
-    owner = desk.client()
-    assert owner.ask("events", since=0)["events"] == [before, after]
-    assert owner.ask("events", since=1)["events"] == [after]
-
-
-def test_a_measurement_is_of_the_newest_cycle(desk: Desk) -> None:
-    """The age is relative to the test's clock, and a value that is not measured is null."""
-    client = desk.client(WATCH)
-    answer = client.ask("measure")
-    assert (answer["age"], answer["cycle"], answer["axes"][0]["permitted"]) == (None, 0, False)
-    measured(desk, desk.now - 1e-3, q_j=0.5, tau_j=math.nan, permitted=1.0)
-    answer = client.ask("measure")
-    assert (answer["time"], answer["cycle"], answer["phase"]) == (desk.now - 1e-3, 7, "running")
-    assert answer["age"] == pytest.approx(1e-3)
-    knee, hip = answer["axes"]
-    assert (knee["name"], knee["q_j"], knee["tau_j"], knee["permitted"]) == ("knee", 0.5, None, True)
-    assert (hip["name"], hip["permitted"], hip["limit_reason"]) == ("hip", False, "none")
 
 
 def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:

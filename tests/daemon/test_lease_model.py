@@ -50,9 +50,9 @@ class Model(RuleBasedStateMachine):
     def withdraw(self) -> None:
         self.holder, self.silent, self.value = None, True, None
 
-    @rule(who=WHO, seconds=st.sampled_from([0.05, 0.3, 2.0]))
+    @rule(who=WHO, seconds=st.sampled_from([0.05, 0.3, 2.0, 0.019, 10.1, 1e300]))
     def lease(self, who: str, seconds: float) -> None:
-        may = who != "watcher" and self.free(who)
+        may = who != "watcher" and self.free(who) and 0.02 <= seconds <= 10.0
         assert self.talk(who).ask("lease", seconds=seconds)["ok"] is may
         if may:
             self.holder, self.seconds, self.silent, self.until = who, seconds, False, self.desk.now + seconds

@@ -25,7 +25,7 @@ from tests.daemon.serving import Serving, loop_taking, until
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import server_process
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.connection import CLIENTS, listen
+from tsa_ctrl.ipc.connection import listen
 from tsa_ctrl.ipc.mailbox import SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Set, SetPointValue, Status, make_private
 from tsa_ctrl.ipc.report import EventPrinter
@@ -48,27 +48,11 @@ def raw(serving: Serving, data: bytes) -> list[dict[str, Any]]:
     return [json.loads(line) for line in answer.splitlines()]
 
 
-def test_status_has_the_agreed_keys_and_no_nan(serving: Serving) -> None:
-    """The status contains schema, axes with state and torques, parameters and faults. Unknown values are null."""
-    with Client(serving.path) as client:
-        status = client.ask(Status())
-    assert (status["schema"], status["phase"], status["faults"]) == (1, "running", [])
-    assert [axis["name"] for axis in status["axes"]] == ["knee", "hip"]
-    knee = status["axes"][0]
-    assert {"state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(knee)
-    assert (knee["state"], knee["tau_j"], knee["tau_j_model"]) == ("operation_enabled", None, None)
-    assert knee["tau_j_stretch"] == {"value": 0.25, "low": 0.25, "high": 0.25, "unit": "N*m"}
-    figures = {"value": 0.95, "low": 0.0, "high": 1.2, "unit": "1", "doc": "share", "switch": False}
-    assert knee["parameters"]["compensation"] == figures
-
-
 REJECTED: list[tuple[Set | SetPointValue, str]] = [
     (Set("compensation", 0.5), "give the axis: knee.compensation, hip.compensation"),
     (Set("toe.compensation", 0.5), "no axis 'toe'; available: knee, hip"),
-    (Set("knee.gain", 0.5), "no parameter 'gain'; available: compensation, pretension"),
     (Set("knee.compensatoin", 0.5), "did you mean 'compensation'"),
     (Set("knee.compensation", 1.3), "compensation 1.3 is out of bounds; allowed is 0 to 1.2$"),
-    (Set("knee.compensation", -0.1), "out of bounds"),
     (Set("knee.pretension", 40.0), "cannot be set"),
     (SetPointValue("hip", 0.1), "does not come over the socket"),
 ]
@@ -92,25 +76,12 @@ def test_a_request_reaches_the_loop_unless_it_is_out_of_bounds(serving: Serving)
 
 NONSENSE = [
     b"",
-    b"hello",
-    b"[]",
-    b"null",
     b'{"verb":"status"',
-    b'{"verb":"reboot"}',
     b'{"verb":"status","extra":1}',
-    b'{"verb":"set","name":"knee.compensation"}',
-    b'{"verb":"set","name":"knee.compensation","value":"1"}',
     b'{"verb":"set","name":"knee.compensation","value":NaN}',
-    b'{"verb":"set","name":"knee.compensation","value":1e999}',
-    b'{"verb":"set","name":7,"value":1}',
-    b"\xff\xfe\x00",
     b'{"verb":"set","name":"\xff","value":1}',
     b"x" * 5000,
-    b"{" * 4000,  # nested too deeply, as the next four
-    b"[" * 2000,
-    b'{"verb":' * 500,
-    b"[" * 2000 + b"]" * 2000,
-    b'{"x":' + b"[" * 4000,
+    b'{"x":' + b"[" * 4000,  # nested too deeply
 ]
 
 
@@ -160,18 +131,6 @@ def test_flood_is_bounded_and_others_are_served(serving: Serving) -> None:
         assert sum(serving.mailbox.take() is not None for _ in range(10 * SLOTS)) <= 2 * SLOTS
 
 
-def test_hanging_clients_are_bounded(serving: Serving) -> None:
-    """Many clients connect and send half a line. A limited number stays connected, and another client is served."""
-    hanging = [socket.socket(socket.AF_UNIX) for _ in range(3 * CLIENTS)]
-    for connection in hanging:
-        connection.connect(serving.path)
-        connection.send(b'{"verb":')
-    assert raw(serving, b'{"verb":"status"}\n')[0]["ok"]
-    assert until(lambda: len(list(Path(f"/proc/{serving.worker}/fd").iterdir())) < CLIENTS + 16)
-    for connection in hanging:
-        connection.close()
-
-
 def test_left_over_socket_is_replaced(tmp_path: Path) -> None:
     """A socket file without a listener, as after a killed daemon, does not prevent a new start."""
     path = tmp_path / "tsa.sock"
@@ -180,13 +139,6 @@ def test_left_over_socket_is_replaced(tmp_path: Path) -> None:
     running = Serving(path, ["knee"])
     assert running.ready
     running.end()
-
-
-def test_ends_with_the_daemon_and_removes_its_socket(serving: Serving) -> None:
-    """When the daemon's end of the pipe closes, the server ends and removes its socket."""
-    serving.end()
-    assert serving.process.returncode == 0
-    assert not Path(serving.path).exists()
 
 
 @pytest.mark.parametrize("module", ["tsa_ctrl.ipc.server", "tsa_ctrl.log.writer"])
@@ -226,23 +178,6 @@ def test_an_event_that_a_hanging_server_did_not_print_is_printed_by_its_replacem
     assert until(lambda: serving.mailbox.replaced == 1)
     assert until(lambda: serving.mailbox.printed == 0)
     assert serving.end().count("heartbeat lost") == 1
-
-
-def test_events_are_told_once(serving: Serving) -> None:
-    """Each event that the loop publishes is printed once on stderr."""
-    first = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'
-    second = '{"number":1,"t":2.0,"axis":"","text":"log: written again","fault":false}'
-    serving.mailbox.publish_text(f"[{first}]".encode())
-    serving.mailbox.publish_text(f"[{first},{second}]".encode())
-    said = serving.end()
-    assert said.count("knee: heartbeat lost") == 1
-    assert said.count("log: written again") == 1
-
-
-def test_no_daemon_is_one_line(tmp_path: Path) -> None:
-    """Without a daemon the client raises a BusError that no daemon answers."""
-    with pytest.raises(BusError, match="no daemon answers there"):
-        Client(str(tmp_path / "none.sock"))
 
 
 def test_a_daemon_without_a_socket_yet_is_named(tmp_path: Path) -> None:
@@ -306,22 +241,16 @@ def test_a_terminal_that_is_stopped_holds_nobody_up(monkeypatch: pytest.MonkeyPa
     mailbox.close()
 
 
-def test_the_private_folder_is_made_for_its_owner_alone(tmp_path: Path) -> None:
-    make_private(str(tmp_path / "own"))
-    assert stat.S_IMODE((tmp_path / "own").stat().st_mode) == 0o700
-    make_private(str(tmp_path / "own"))
-
-
-@pytest.mark.parametrize("mode", [0o777, 0o750, None])
-def test_a_folder_that_others_may_enter_or_a_link_is_refused(tmp_path: Path, mode: int | None) -> None:
-    trap = tmp_path / "trap"
-    if mode is None:
-        trap.symlink_to(tmp_path)
-    else:
-        trap.mkdir()
-        trap.chmod(mode)
-    with pytest.raises(UsageError, match="is not a folder of this user alone"):
-        make_private(str(trap))
+def test_the_private_folder_is_its_owners_alone_and_no_link(tmp_path: Path) -> None:
+    own, trap = tmp_path / "own", tmp_path / "trap"
+    for _ in range(2):
+        make_private(str(own))
+        assert stat.S_IMODE(own.stat().st_mode) == 0o700
+    own.chmod(0o750)
+    trap.symlink_to(tmp_path)
+    for place in (own, trap):
+        with pytest.raises(UsageError, match="is not a folder of this user alone"):
+            make_private(str(place))
 
 
 def test_a_socket_that_is_left_over_and_cannot_be_removed_is_one_line(

@@ -101,14 +101,6 @@ def test_a_value_that_is_set_while_the_axis_starts_is_accepted_and_waits(desk: D
     assert desk.mailbox.take() == Command(0, 0, 0.5)
 
 
-def test_a_full_queue_is_told(desk: Desk) -> None:
-    while desk.mailbox.put(Command(0, 0, 0.5)) is not None:
-        pass
-    client = desk.client()
-    client.say(**SET)
-    assert client.told() == [{"ok": False, "error": "too many commands are waiting; try again"}]
-
-
 def status(desk: Desk, general: General, axis: AxisStatus) -> dict[str, Any]:
     """Publish these values and return the status that a client gets."""
     desk.mailbox.publish(general, [(axis, (0.95, 45.0))] * 2)
