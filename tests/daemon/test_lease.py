@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import grp
-import itertools
 import json
 import math
 import os
@@ -323,31 +322,3 @@ def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monke
     for _ in range(600):
         desk.server.step(0.0)
     assert len(asked) == 500  # all requests are answered in the end
-
-
-def test_others_get_a_third_of_the_time_while_somebody_gives_set_points(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each request of another client takes 1 ms here. Without a lease, other clients get all of the time."""
-    asked: list[float] = []
-
-    def slowly(*_: Any) -> dict[str, Any]:
-        desk.now += 1e-3
-        asked.append(desk.now)
-        return {"schema": 1}
-
-    monkeypatch.setattr("tsa_ctrl.ipc.server.status_report", slowly)
-    owner, flood = desk.client(), desk.client()
-    owner.ask("lease", seconds=10.0)
-    flood.socket.sendall(b'{"verb":"status"}\n' * 100)
-    for _ in range(300):
-        desk.server.step(0.0)
-        desk.now += 1e-4
-    gaps = [b - a for a, b in itertools.pairwise(asked)]
-    assert len(asked) < 20
-    assert min(gaps) > 2.9e-3
-    owner.ask("release")
-    before = len(asked)
-    for _ in range(20):
-        desk.server.step(0.0)
-    assert len(asked) - before == 20

@@ -46,7 +46,7 @@ def status_report(
     present = [event for event in events if event["fault"] and event["number"] >= general.first_fault]
     begun = general.time > 0.0
     age = max(0.0, now - general.time) if begun else math.inf
-    report: dict[str, Any] = {
+    return {
         "schema": SCHEMA,
         "name": description.name,
         "phase": description.phases[int(general.phase)],
@@ -80,10 +80,9 @@ def status_report(
         "loose_bounds": description.loose_bounds,
         "lease": lease,
     }
-    return report
 
 
-def measurement(mailbox: Mailbox, description: Description, now: float, clamped: Sequence[bool] = ()) -> dict[str, Any]:
+def measurement(mailbox: Mailbox, description: Description, now: float, clamped: Sequence[bool]) -> dict[str, Any]:
     """Return the measurements of the newest cycle, and the range of each axis' set-point.
 
     `now` in s, monotonic; `clamped`: per axis, True if the newest set-point was beyond its range.
@@ -99,11 +98,7 @@ def measurement(mailbox: Mailbox, description: Description, now: float, clamped:
             | {key: _told(SIGNALS[key], value, description) for key, value in axis._asdict().items()}
             | {"set_point_limit": limit, "clamped": flag}
             for name, axis, limit, flag in zip(
-                description.axes,
-                axes,
-                description.set_point_limit,
-                clamped or [False] * len(axes),
-                strict=True,
+                description.axes, axes, description.set_point_limit, clamped, strict=True
             )
         ],
     }

@@ -8,7 +8,7 @@ replaces it and listens on the same socket (`system.process_supervisor`). It end
 closes even if the daemon is killed.
 
 A stop request is handled before all others. The client that sends set-points waits for at most one request of one other
-client. Meanwhile all others together receive a third of the time. Each role has its own connections. A new connection
+client. Each role has its own connections. A new connection
 replaces the one that has been silent longest, so that connections cannot block a new one. The set-point has one owner
 at a time: its lease is renewed by set-points and ends after a time without any.
 """
@@ -42,7 +42,6 @@ TICK = 0.005  # s between two checks for answers while a command is pending
 LOOK = 0.02  # s between two checks of events and cycles while a client holds the lease
 ANSWER_TIME = 1.0  # s for the loop to take a command
 TAKE_OVER = 0.3  # s, less than the time after which a silent server counts as hanging
-REST = 2.0  # while set-points are sent, other requests wait for this multiple of the last one's duration
 NICE = -10  # above other processes of a loaded machine, so that set-points arrive in time; the loop is above this
 HANGS = 0.5  # s without a cycle after which the loop counts as hanging
 AHEAD = 0.1  # s; a set-point's time stamp that is further ahead is from another clock
@@ -156,7 +155,6 @@ class Server:
         self._told = 0  # number of the next event for the lease's holder
         self._read = 0  # number of the last events that were read
         self._looked = -math.inf  # s
-        self._rests = -math.inf  # s, until which only the client with the lease is served
         self._withdraw()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener, selectors.EVENT_READ)
@@ -214,7 +212,7 @@ class Server:
         """Return the longest time to wait for a request, s."""
         clients, now = self._clients.values(), self._clock()
         if any(client.lines for client in clients):
-            return max(0.0, self._rests - now) if self._lease.holder is not None else 0.0
+            return 0.0
         if any(client.pending for client in clients):
             return min(timeout, TICK)
         if self._lease.holder is not None:
@@ -250,14 +248,10 @@ class Server:
 
     def _answer_next(self, now: float) -> None:
         """Answer one request of one client, in rotation."""
-        if self._lease.holder is not None and now < self._rests:
-            return
         for place, client in enumerate(self._turn):
             if client.lines:
                 self._turn.append(self._turn.pop(place))
                 self._answer(client, client.lines.popleft(), now)
-                end = self._clock()
-                self._rests = end + REST * (end - now)
                 return
 
     def _answer(self, client: Connection, line: bytes, now: float) -> None:
