@@ -13,6 +13,7 @@ from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.model.provenance import NodeIdentity, Origin, with_origin
 from tsa_ctrl.tune.excitation import Bounds, Waveform
+from tsa_ctrl.tune.procedure import PHASES, phase
 from tsa_ctrl.tune.run import SHORTEST_PIECE, RigRunner, Run, _pieces
 
 PERIOD = 1e-3  # s
@@ -75,3 +76,8 @@ def test_sensor_and_elongation_are_compared_after_the_tendons_have_slid(off: flo
     other = delivered + np.where(t < 1.0, 1.0, off)
     assert Run("after", Path(), t, delivered, delivered, (), other).disagreement() == pytest.approx(expected)
     assert Run("after", Path(), t, delivered, delivered, ()).disagreement() == float("inf")
+
+
+def test_each_phase_says_its_place() -> None:
+    assert phase("probe-2") == f"phase 1 of {len(PHASES)}: probe-2"
+    assert [phase(name).split()[1] for name in PHASES] == [str(1 + n) for n in range(len(PHASES))]

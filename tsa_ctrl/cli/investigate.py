@@ -117,7 +117,7 @@ def command(
         write_diagnosis(step.result, own, session.path, plot, simulated)
         shutil.copyfile(own / MODEL, folder / MODEL)  # the last motion replaces it
 
-    with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
+    with interrupted_once(), shown() as (say, _):
         # Motion of any other joint may bend the sheath.
         play = on_the_rig(partial(session.runner, all_axes=True), folder, session.path)
         try:

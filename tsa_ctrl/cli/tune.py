@@ -193,7 +193,7 @@ def _tune(
 def _on_the_rig(session: Session, asks: bool) -> Outcome:
     from tsa_ctrl.cli.tuning import shown
 
-    with shown(session.axis.name, session.socket) as (say, ask):
+    with shown() as (say, ask):
         return session.run(say, ask if asks and sys.stdin.isatty() else None)
 
 

@@ -26,7 +26,6 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.calibrate import errors_of
 from tsa_ctrl.identify.dataset import Dataset, load_logs
 from tsa_ctrl.identify.diagnosis.report.words import told_torque
-from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -266,11 +265,6 @@ class Session:
         self._folder = Path()
         self._final: Path | None = None
         self.page: Path | None = None
-
-    @property
-    def socket(self) -> str | None:
-        """Return the socket path of the daemon, or None in virtual time, when no daemon runs."""
-        return None if self._plant is not None else self._configuration.file.socket.path or default_path()
 
     def _chosen(self, controller: Path, name: str | None) -> AxisSettings:
         axes = {axis.name: axis for axis in self._configuration.file.axes}
