@@ -114,14 +114,16 @@ def data_dir() -> Path:
 
     It is TSA_DATA, else `shared/data` next to the project, else the folder of the downloaded data.
     """
-    from tsa_ctrl.published import fetch
+    from tsa_ctrl.published import catalogue
 
-    places = [ROOT.parent / "shared" / "data", fetch.folder()]
-    if fetch.VARIABLE in os.environ:
+    places = [ROOT.parent / "shared" / "data", catalogue.folder()]
+    if catalogue.VARIABLE in os.environ:
         places = places[1:]
     found = next((place for place in places if place.is_dir()), None)
     if found is None:
-        pytest.skip(f"no measured data in {places[0]}: tsa data fetch davinci, or name its folder in {fetch.VARIABLE}")
+        pytest.skip(
+            f"no measured data in {places[0]}: tsa data fetch davinci, or name its folder in {catalogue.VARIABLE}"
+        )
     return found
 
 

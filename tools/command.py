@@ -124,16 +124,16 @@ def measured_data(module: str) -> Path | None:
 
     It is searched in TSA_DATA, or without this variable in ../shared/data and the folder of fetched data.
     """
-    from tsa_ctrl.published import fetch
+    from tsa_ctrl.published import catalogue
 
-    beside = [] if fetch.VARIABLE in os.environ else [ROOT.parent / "shared" / "data"]
-    places = [*beside, fetch.folder()]
+    beside = [] if catalogue.VARIABLE in os.environ else [ROOT.parent / "shared" / "data"]
+    places = [*beside, catalogue.folder()]
     for folder in (folder for base in places for folder in (base / "davinci", base)):
         if (folder / "actuator.toml").is_file():
             return folder
     print(
         f"tools/run {name_of(module)}: no measured data in {' or '.join(map(str, places))}; tsa data fetch davinci, "
-        f"or name the folder that holds davinci/ in {fetch.VARIABLE}"
+        f"or name the folder that holds davinci/ in {catalogue.VARIABLE}"
     )
     return None
 

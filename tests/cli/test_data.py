@@ -18,7 +18,9 @@ from tsa_ctrl.cli import main
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.parameters import load_model
-from tsa_ctrl.published.fetch import SETS, VARIABLE, File, Published, cable_tool, drive_recorder, fetch, linear_axis
+from tsa_ctrl.published import catalogue
+from tsa_ctrl.published.catalogue import SETS, File, Published
+from tsa_ctrl.published.fetch import cable_tool, drive_recorder, fetch, linear_axis
 
 RECORDED = "Date:;2020\nms;rpm;%\n0.000;99;37.2\n12.800;-99;0.0\n"
 BECOMES = "t,tau_m,omega_m\n0,-0.00366048,-10.3672558\n0.0128,-0,10.3672558\n"
@@ -104,7 +106,7 @@ def test_a_set_that_is_not_there_is_one_line(capsys: pytest.CaptureFixture[str])
 def test_the_list_says_what_is_here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(catalogue.VARIABLE, str(tmp_path))
     (tmp_path / "emps").mkdir()
     with pytest.raises(SystemExit):
         main(["data", "list", "--json"])

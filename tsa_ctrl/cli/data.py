@@ -18,7 +18,7 @@ def command() -> None:
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def list_(as_json: bool) -> None:
     """List the sets, their licences, and the sets already here."""
-    from tsa_ctrl.published.fetch import SETS, folder
+    from tsa_ctrl.published.catalogue import SETS, folder
 
     place = folder()
     rows = {
@@ -42,11 +42,11 @@ def list_(as_json: bool) -> None:
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def fetch(name: str, out: Path | None, address: str | None, as_json: bool) -> None:
     """Fetch the set NAME, check it byte for byte, and convert its columns to SI."""
+    from tsa_ctrl.published import catalogue
     from tsa_ctrl.published.fetch import fetch as fetched
-    from tsa_ctrl.published.fetch import find, folder
 
-    wanted = find(name)
-    place = out or folder()
+    wanted = catalogue.find(name)
+    place = out or catalogue.folder()
 
     def progress(number: int, of: int) -> None:
         if sys.stderr.isatty() and not as_json:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +16,6 @@ from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
-    from tsa_ctrl.identify.fleet import Row
     from tsa_ctrl.identify.quantity import Quantity
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # constants of <malloc.h>
@@ -25,8 +23,6 @@ LARGE = 8 << 20  # bytes, a quarter of the maximum of glibc's own threshold; a m
 # Bytes that may stay free at the end of the heap. If the threshold above is fixed, glibc keeps only 128 KB, and maps
 # each array of a minute again page by page, which is 16 % of a diagnosis.
 KEPT = 8 * LARGE
-
-ROWS = 40  # maximum number of logs of a folder on the screen; verdicts.csv has all of them
 
 EXAMPLES = """\b
 Examples:
@@ -86,7 +82,9 @@ def command(
             raise UsageError("--cutoff: does not apply to a folder; omit it, or list the logs in the folder")
         if hold_out is not None:
             raise UsageError("--hold-out: each log of a folder is diagnosed separately; omit it, or list the logs")
-        _diagnose_folder(
+        from tsa_ctrl.cli.fleet import diagnose_folder
+
+        diagnose_folder(
             folders[0], model, out, seed=seed, strict=strict, jobs=jobs, scheduler=scheduler, as_json=as_json
         )
         return
@@ -99,86 +97,6 @@ def command(
         click.echo(result.to_json(), nl=False)
     else:
         _show(result, out)
-
-
-def _diagnose_folder(
-    folder: Path,
-    model: Path,
-    out: Path,
-    *,
-    seed: int,
-    strict: bool,
-    jobs: int | None,
-    scheduler: str | None,
-    as_json: bool,
-) -> None:
-    """Diagnose the logs of a folder, and print the results; a log that cannot be read is a row of the table."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    from tsa_ctrl.identify.fleet import executors, logs_in, sweep
-    from tsa_ctrl.identify.fleet.ledger import counted
-    from tsa_ctrl.model.parameters import load_model
-
-    load_model(model)  # reports an error of the model file once, before the logs
-    logs = logs_in(folder)
-    console = terminal(stderr=True)
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    place = executors.local(jobs) if scheduler is None else executors.dask(scheduler)
-    with place as workers, Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("diagnosing", total=len(logs))
-
-        def tell(done: int, total: int, row: Row | None) -> None:
-            bar.update(task, completed=done)
-            if row is None and done:
-                console.print(f"{done} of {total} logs are already diagnosed in {out}", soft_wrap=True)
-
-        def say(line: str) -> None:
-            console.print(line, soft_wrap=True)
-
-        rows = sweep(logs, model, out, workers, seed=seed, strict=strict, progress=tell, say=say)
-    verdicts, causes = counted(rows)
-    if as_json:
-        data = {"schema": 1, "verdicts": dict(sorted(verdicts.items())), "causes": dict(sorted(causes.items()))}
-        click.echo(json.dumps({**data, "logs": outputs.json_types(rows)}, allow_nan=False, ensure_ascii=False))
-    else:
-        _show_rows(rows, out)
-
-
-def _show_rows(rows: list[Row], out: Path) -> None:
-    from rich.table import Table
-
-    from tsa_ctrl.identify.fleet.ledger import TABLE, counted
-
-    console = terminal()
-    table = Table("log", "verdict", "causes (or)", "recalibrated", "extended, mN*m")
-    for row in rows[:ROWS]:
-        errors = [row.rms.get(step) for step in ("recalibrated", "extended")]
-        values = ["" if value is None else f"{1e3 * value:.3g}" for value in errors]
-        table.add_row(row.log, row.verdict, row.told or row.error, *values)
-    console.print(table)
-    if len(rows) > ROWS:
-        console.print(f"and {len(rows) - ROWS} more")
-    verdicts, causes = counted(rows)
-    console.print(
-        f"{len(rows)} {'log' if len(rows) == 1 else 'logs'}: "
-        + ", ".join(f"{count} {name}" for name, count in verdicts.most_common())
-    )
-    if causes:
-        console.print("causes: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()), soft_wrap=True)
-    console.print(f"table: {out / TABLE}; the reports are in the same folder", soft_wrap=True)
 
 
 def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
