@@ -22,14 +22,6 @@ def imported(stderr: str) -> set[str]:
     return {line.rpartition("|")[2].strip() for line in stderr.splitlines() if line.startswith("import time:")}
 
 
-@pytest.mark.parametrize("verb", [["status", "--json"], ["stop"], ["set", "compensation", "0.5"]])
-def test_commands_for_a_running_daemon_start_without_numerical_libraries(tmp_path: Path, verb: list[str]) -> None:
-    done = subprocess.run([*TSA, *verb, "--socket", str(tmp_path / "no.sock")], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert "click" in imported(done.stderr)
-    assert not imported(done.stderr) & (HEAVY | {"numpy", "numba", "scipy", "can", "canopen"})
-
-
 @pytest.mark.hil
 @pytest.mark.slow
 def test_a_daemon_that_plays_a_file_loads_none_of_them(tmp_path: Path) -> None:

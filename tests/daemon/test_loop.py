@@ -15,7 +15,7 @@ import pytest
 
 from tests.daemon.machine import BARE, CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command
+from tsa_ctrl.ipc.mailbox import RELEASE, Command
 from tsa_ctrl.safety.causes import Cause, Finding
 
 Build = Callable[..., Machine]
@@ -153,15 +153,6 @@ def test_a_fault_takes_the_torque_and_stays_latched(
     assert machine.drive.beats < 1010
 
 
-def test_power_cycle_asks_for_a_new_bring_up(build: Build) -> None:
-    """A boot-up message during the run latches a fault. A recovery then ends the loop for a new bring-up."""
-    machine = build(CONSTANT)
-    machine.drive.at_sync[500] = lambda: machine.drive.extra.append((0x701, b"\x00"))
-    machine.drive.at_sync[600] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
-    machine.run()
-    assert machine.loop.recover
-
-
 def test_fault_ends_the_run_where_so_configured(build: Build) -> None:
     """With after_fault = "exit" the run ends and reports the fault."""
     machine = build(CONSTANT, ('# after_fault = "wait" ', 'after_fault = "exit" '))
@@ -286,23 +277,6 @@ def test_a_drive_that_does_not_obey_is_stopped_by_nmt(tmp_path: Path) -> None:
     machine.close()
     assert len(stops) >= 3
     assert set(stops) == {b"\x02\x01"}
-
-
-def test_a_drive_whose_feedback_freezes_is_disabled(tmp_path: Path) -> None:
-    """If the command changes but the answers stay constant, the loop latches a fault with a text."""
-
-    class Frozen(Drive):
-        def frames(self) -> list[tuple[int, bytes]]:
-            if self.beats > 300:
-                self.torque = 400
-            return super().frames()
-
-    machine = Machine(tmp_path, drive=Frozen())
-    machine.drive.at_sync[2000] = lambda: machine.loop.stop("test")
-    machine.run()
-    machine.close()
-    assert machine.events.first_fault is not None
-    assert re.search("feedback is frozen|commanded are", machine.events.first_fault.text)
 
 
 def test_a_latched_guard_is_released_on_request_within_the_budget(build: Build) -> None:

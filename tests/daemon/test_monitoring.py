@@ -79,25 +79,6 @@ def test_a_monitor_that_fails_before_the_torque_ends_the_start(machine: Machine)
     assert not any(machine.drive.torques)
 
 
-def test_a_new_monitor_takes_the_place_of_one_that_stopped_only() -> None:
-    made: list[FakeMonitor] = []
-
-    def begin() -> FakeMonitor:
-        made.append(FakeMonitor())
-        return made[-1]
-
-    channel = SecondChannel(begin)
-    channel.renew()
-    assert len(made) == 1
-    made[0].report = Report(STOP)
-    assert channel.fault(1.0) is not None
-    assert channel.fault(1.1) is None
-    assert (channel.state, channel.failed, channel.acted(1.2)) == (MonitorState.STOPPED, True, True)
-    channel.renew()
-    assert made[0].closed
-    assert (len(made), channel.state, channel.failed, channel.acted(1.3)) == (2, MonitorState.WATCHING, False, False)
-
-
 def test_without_a_monitor_nothing_is_asked() -> None:
     channel = SecondChannel()
     found = (channel.state, channel.fault(0.0), channel.acted(0.0), channel.news())

@@ -19,7 +19,6 @@ from tsa_ctrl.virtual.script import Fault
 from tsa_ctrl.virtual.simulation import Run, VirtualMonitor
 
 AT = 0.8  # s of the log, start of the fault
-RPDO, ENCODER = 0x201, 0x1A0
 
 Spoil = Callable[[Run], None]
 
@@ -61,16 +60,6 @@ class Trial:
         return float(np.abs(truth["tau_m"][truth["clock"] >= self.result.axes[0].start + AT + after]).max(initial=0.0))
 
 
-def edited(edit: Callable[[int, bytes], list[Frame]]) -> Spoil:
-    """Return a fault that changes frames on the wire."""
-
-    def spoil(run: Run) -> None:
-        wire, send = run._wire, run._wire.send
-        wire.send = lambda sender, i, data: [send(sender, *frame) for frame in edit(i, data)] != [False]  # type: ignore[method-assign]
-
-    return spoil
-
-
 def intruder(*frames: Frame) -> Spoil:
     def spoil(run: Run) -> None:
         end = End(run._wire)
@@ -95,17 +84,8 @@ def commanding(torque: Callable[[], float]) -> Spoil:
     return spoil
 
 
-def too_much(i: int, data: bytes) -> list[Frame]:
-    return [(i, data[:2] + b"\x54\x0b" if i == RPDO else data)]  # 2.9 N*m
-
-
 TRIALS: dict[str, tuple[str, Spoil, float]] = {
     "loop killed": ("silent", killed, 0.022),
-    "torque above the limit": ("command_torque", edited(too_much), 0.001),
     "torque jumps": ("command_step", commanding(lambda: -1.5), 0.001),
-    "commands twice": ("surplus", edited(lambda i, data: [(i, data)] * (1 + (i == RPDO))), 0.006),
-    "encoder twice": ("surplus", edited(lambda i, data: [(i, data)] * (1 + (i == ENCODER))), 0.006),
     "NMT of an intruder": ("nmt", intruder((0x000, b"\x80\x00")), 0.001),
-    "LSS of an intruder": ("lss", intruder((0x7E5, b"\x04\x01" + bytes(6))), 0.001),
-    "SDO write of an intruder": ("sdo_write", intruder((0x601, bytes.fromhex("2316100100000000"))), 0.001),
 }

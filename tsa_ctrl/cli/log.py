@@ -73,11 +73,8 @@ def convert(log: str, out: Path) -> None:
     """Write LOG as a table, one file per axis; codes become names, empty columns are left out."""
     from tsa_ctrl.log.convert import convert as convert_log
 
-    if sys.stderr.isatty():
-        with click.progressbar(length=100, label="writing", file=sys.stderr) as bar:
-            written = convert_log(log, out, lambda share: bar.update(int(100 * share) - bar.pos))
-    else:
-        written = convert_log(log, out)
+    with click.progressbar(length=100, label="writing", file=sys.stderr, hidden=not sys.stderr.isatty()) as bar:
+        written = convert_log(log, out, lambda share: bar.update(int(100 * share) - bar.pos))
     for file in written:
         click.echo(str(file.path))
         for note in file.notes:
@@ -96,7 +93,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     from the tendon elongation. Stiffness and zero are derived from the elongation, which requires q_m and q_j. Changes
     are reported if there are at least six runs.
     """
-    from tsa_ctrl.identify.trend import ALARM
+    from tsa_ctrl.identify.trend import ALARM, draw
     from tsa_ctrl.identify.trend import trend as trend_of
     from tsa_ctrl.model.parameters import load_tendon_sheath
 
@@ -104,8 +101,6 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     with click.progressbar(length=100, label="reading", file=sys.stderr, hidden=not sys.stderr.isatty()) as bar:
         found = trend_of(folder, nominal, lambda share: bar.update(int(100 * share) - bar.pos))
     if picture is not None:
-        from tsa_ctrl.identify.trend import draw
-
         draw(picture, found)
     if as_json:
         click.echo(json.dumps(found.to_dict(), allow_nan=False))
