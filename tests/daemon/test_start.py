@@ -14,13 +14,12 @@ from typing import Any
 
 import pytest
 
-from tests.daemon.serving import QUARTERS, description, until
-from tsa_ctrl.daemon.build import LoopPhase
+from tests.daemon.serving import description, until
 from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.mailbox import General, Mailbox
+from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.protocol import Set, Status, Stop
 from tsa_ctrl.ipc.server_process import ServerProcess
 
@@ -82,46 +81,17 @@ def test_a_second_daemon_on_the_socket_is_one_line(server: ServerProcess) -> Non
     assert asked(server)["phase"] == "starting"
 
 
-def killed_with_its_worker(server: ServerProcess) -> None:
-    """Kill the process that the daemon started, and wait until it and its worker are gone."""
-    find = ["pgrep", "--oldest", "--parent", str(os.getpid()), "--full", "ipc.server"]  # the spare is younger
-    first = int(subprocess.run(find, capture_output=True, check=True).stdout)
-    assert until(lambda: bool(Path(f"/proc/{first}/task/{first}/children").read_text("ascii")))
-    (worker,) = Path(f"/proc/{first}/task/{first}/children").read_text("ascii").split()
-    os.kill(first, signal.SIGKILL)
-    assert until(lambda: not server.alive)
-    assert until(
-        lambda: not Path(f"/proc/{worker}/cmdline").exists() or not Path(f"/proc/{worker}/cmdline").read_text()
-    )
-
-
-def test_a_killed_server_is_replaced_once_and_the_events_are_true(server: ServerProcess) -> None:
-    """The spare takes over the socket without a wait of the loop. A second kill is reported with its remedy."""
-    mailbox = Mailbox(1, 2, server.descriptor)
+def test_a_killed_server_is_told_once(server: ServerProcess) -> None:
     events = Events()
     stub: Any = None
-    telemetry = Telemetry(stub, [], [], mailbox, None, None, events)
-    server.describe(description(Path(server.path), ["knee"]))
+    telemetry = Telemetry(stub, [], [], Mailbox(1, 2), None, None, events)
     telemetry.watch_server(server)
-    general = General(phase=float(LoopPhase.RUNNING.value))
-    mailbox.publish(general, [(QUARTERS, (0.95, 45.0))])
-    killed_with_its_worker(server)
-    begun = time.monotonic()
-    telemetry.check_server(1.0)
-    assert time.monotonic() - begun < 0.25
-    assert mailbox.heard > begun  # a spare that starts does not count as hanging
-    telemetry.check_server(2.0)
-    assert until(lambda: mailbox.replaced == 1)
-    assert until(lambda: Path(server.path).exists())
-    assert asked(server)["axes"] != []
-    killed_with_its_worker(server)
-    telemetry.check_server(3.0)
-    telemetry.check_server(4.0)
-    assert [(event.t, event.text.partition(";")[0]) for event in events.all] == [
-        (1.0, "socket: its process is gone"),
-        (3.0, "socket: its process is gone, and nothing replaces it"),
-    ]
-    mailbox.close()
+    find = ["pgrep", "--parent", str(os.getpid()), "--full", "ipc.server"]
+    os.kill(int(subprocess.run(find, capture_output=True, check=True).stdout), signal.SIGKILL)
+    assert until(lambda: not server.alive)
+    for t in (1.0, 2.0):
+        telemetry.check_server(t)
+    assert [(event.t, event.text.partition(";")[0]) for event in events.all] == [(1.0, "socket: its process is gone")]
 
 
 SLOW = """

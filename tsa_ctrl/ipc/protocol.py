@@ -143,9 +143,6 @@ class Description(msgspec.Struct, frozen=True):
     loose_bounds: list[str] = []  # safety bounds that are looser than the defaults, one line each
 
 
-SPARE = "spare"  # argument of a server that waits until another one is gone
-
-
 class Opening(msgspec.Struct, frozen=True):
     """Data with which the socket server opens the socket, before the daemon has read its configuration."""
 

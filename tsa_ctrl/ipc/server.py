@@ -33,7 +33,7 @@ from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.connection import CLIENTS, Connection, Role, accepted, group_number, listening, may
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
-from tsa_ctrl.ipc.protocol import SPARE, AnyRequest, Description, Opening
+from tsa_ctrl.ipc.protocol import AnyRequest, Description, Opening
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report, waits_for
 from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
 
@@ -41,7 +41,6 @@ IDLE = 30.0  # s without a request after which a client is disconnected
 TICK = 0.005  # s between two checks for answers while a command is pending
 LOOK = 0.02  # s between two checks of events and cycles while a client holds the lease
 ANSWER_TIME = 1.0  # s for the loop to take a command
-TAKE_OVER = 0.3  # s, less than the time after which a silent server counts as hanging
 NICE = -10  # above other processes of a loaded machine, so that set-points arrive in time; the loop is above this
 HANGS = 0.5  # s without a cycle after which the loop counts as hanging
 AHEAD = 0.1  # s; a set-point's time stamp that is further ahead is from another clock
@@ -397,33 +396,23 @@ def main(argv: list[str]) -> int:
     if not asked:  # the daemon is gone already
         return 0
     opening = msgspec.json.decode(asked, type=Opening)
-    described = b""
-    if SPARE in argv:
-        described = stand_by(lines)
-        if not described:
-            return 0
     try:
         with listening(opening.path, opening.group, opening.watch_group) as listener:
             with contextlib.suppress(BrokenPipeError):  # stdin then reports the end of the daemon
                 os.write(sys.stdout.fileno(), READY)
-            asked = described or answer_start(listener, opening, lines)
+            asked = answer_start(listener, opening, lines)
             if not asked:
                 return 0
             description = msgspec.json.decode(asked, type=Description)
             axes, parameters, fd = len(description.axes), len(description.parameters[0]), int(argv[0])
             mailbox = Mailbox(axes, parameters, fd)
-            earlier = mailbox.replaced + bool(described)
-            mailbox.replace(earlier)
             with contextlib.suppress(BrokenPipeError):
                 os.write(sys.stdout.fileno(), READY)
 
             def work(before: int) -> int:
                 return serve(listener, Mailbox(axes, parameters, os.dup(fd)), description)
 
-            def replaced(before: int) -> None:
-                mailbox.replace(earlier + before)
-
-            return supervise(work, mailbox.alive, lambda: mailbox.heard, REPLACED, replaced)
+            return supervise(work, mailbox.alive, lambda: mailbox.heard, REPLACED, mailbox.replace)
     except TsaError as error:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code
@@ -450,17 +439,6 @@ class Lines:
     def waiting(self) -> bool:
         """Return True if a whole line has been received but not taken."""
         return b"\n" in self._received
-
-
-def stand_by(lines: Lines) -> bytes:
-    """Wait as a spare server; return the description once the other server is gone, empty if the daemon has ended."""
-    described = lines.take()
-    with contextlib.suppress(BrokenPipeError):
-        os.write(sys.stdout.fileno(), READY)
-    if not lines.take():
-        return b""
-    time.sleep(TAKE_OVER)  # the kernel ends the other server's worker, which has the socket
-    return described
 
 
 def answer_start(listener: socket.socket, opening: Opening, lines: Lines) -> bytes:

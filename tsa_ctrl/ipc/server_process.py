@@ -1,8 +1,5 @@
 """Run the socket server as a child of the daemon, and record the daemon's process in `SOCKET.pid`.
 
-A spare server waits from the start of the loop on, because the loop cannot start a process without losing cycles. It
-takes over if the first one is killed.
-
 The server opens the socket before the daemon imports slow modules. With `SOCKET.pid`, the daemon can be stopped even if
 the socket does not answer. The file contains the process id and the start time in clock ticks since boot (proc(5),
 stat, field 22). The start time distinguishes the daemon from a later process with the same id.
@@ -21,7 +18,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc.protocol import SPARE, Description, Opening
+from tsa_ctrl.ipc.protocol import Description, Opening
 from tsa_ctrl.system.process_supervisor import Child
 
 _START = 21  # index of the start time in the fields of stat, from 0
@@ -162,11 +159,9 @@ class ServerProcess:
         """Open the socket; raise UsageError if that is not possible, for example because another daemon has it."""
         self.path = path
         self.descriptor = os.memfd_create("tsa", os.MFD_CLOEXEC)
-        self._opening = msgspec.json.encode(Opening(path, group, watch_group, name))
-        self._child = self._start()
-        self._spare: Child | None = None
+        self._child = Child("tsa_ctrl.ipc.server", self.descriptor, fd=self.descriptor)
         try:
-            self._child.send(self._opening)
+            self._child.send(msgspec.json.encode(Opening(path, group, watch_group, name)))
             self._check()
             write(path, os.getpid())
         except BaseException:
@@ -178,42 +173,19 @@ class ServerProcess:
         self._child.send(" ".join(text.split()).encode())
 
     def describe(self, description: Description) -> None:
-        """End the startup stages: the mailbox is in its memory, and the server answers all requests from now on.
-
-        Also start the spare server, and wait until it is ready.
-        """
-        encoded = msgspec.json.encode(description)
-        self._spare = self._start(SPARE)
-        for line in (self._opening, encoded):
-            self._spare.send(line)
-        self._child.send(encoded)
+        """End the startup stages: the mailbox is in its memory, and the server answers all requests from now on."""
+        self._child.send(msgspec.json.encode(description))
         self._check()
-        self._spare.failure()  # a spare that has ended is found by `take_over`
 
     @property
     def alive(self) -> bool:
         """Return True while the process runs."""
         return self._child.alive
 
-    def take_over(self) -> bool:
-        """Let the spare server replace the process, which has ended; do not wait. Return False without a spare."""
-        spare, self._spare = self._spare, None
-        if spare is None or not spare.alive:
-            return False
-        self._child.end(0.0)
-        self._child = spare
-        spare.send(b"take over")
-        return True
-
     def end(self) -> None:
-        """End the processes, which removes the socket; may be called twice."""
+        """End the process, which removes the socket; may be called twice."""
         remove(self.path, os.getpid())
-        for child in (self._child, self._spare):
-            if child is not None:
-                child.end(PATIENCE)
-
-    def _start(self, *arguments: str) -> Child:
-        return Child("tsa_ctrl.ipc.server", self.descriptor, *arguments, fd=self.descriptor)
+        self._child.end(PATIENCE)
 
     def _check(self) -> None:
         if failure := self._child.failure():
