@@ -28,6 +28,7 @@ import math
 import os
 import select
 import signal
+import statistics
 import struct
 import sys
 import time
@@ -147,11 +148,10 @@ def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float |
     """Return correlation and slope; None if a value is missing or a quantity is constant."""
     if not all(map(math.isfinite, (*x, *y))):
         return None, None
-    mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
-    xx = math.fsum((value - mean_x) ** 2 for value in x)
-    yy = math.fsum((value - mean_y) ** 2 for value in y)
-    xy = math.fsum((one - mean_x) * (other - mean_y) for one, other in zip(x, y, strict=True))
-    return (xy / math.sqrt(xx * yy), xy / xx) if xx * yy > 0.0 else (None, None)
+    try:
+        return statistics.correlation(x, y), statistics.linear_regression(x, y).slope
+    except statistics.StatisticsError:
+        return None, None
 
 
 class Watch:
