@@ -16,7 +16,7 @@ class Process:
         self.events = Events()
         self.alive = True
         self.notices = ProcessNotices(
-            "log", lambda: self.alive, lambda: self.heard, lambda: self.replaced, "hang", "on"
+            "log", lambda: self.alive, lambda: self.heard, lambda: self.replaced, "hang", "on", "gone"
         )
 
     def until(self, begin: float, end: float, beats: bool) -> None:
@@ -61,10 +61,10 @@ def test_process_that_comes_back_or_is_replaced_is_said_and_may_hang_again() -> 
     assert "another one took over" in text
 
 
-def test_process_that_has_ended_does_not_hang() -> None:
+def test_process_that_has_ended_is_said_once_and_does_not_hang() -> None:
     process = Process()
     process.until(100.0, 101.0, beats=True)
     process.alive = False
     process.until(101.0, 105.0, beats=False)
-    assert process.said == []
+    assert [text for _, text in process.said] == ["log: its process is gone; gone"]
     assert process.notices.silent == 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -10,13 +9,10 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.daemon.serving import description, until
-from tsa_ctrl.daemon.notices import Events
-from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.mailbox import Mailbox
@@ -79,19 +75,6 @@ def test_a_second_daemon_on_the_socket_is_one_line(server: ServerProcess) -> Non
     with pytest.raises(UsageError, match="another daemon answers there"):
         ServerProcess(server.path)
     assert asked(server)["phase"] == "starting"
-
-
-def test_a_killed_server_is_told_once(server: ServerProcess) -> None:
-    events = Events()
-    stub: Any = None
-    telemetry = Telemetry(stub, [], [], Mailbox(1, 2), None, None, events)
-    telemetry.watch_server(server)
-    find = ["pgrep", "--parent", str(os.getpid()), "--full", "ipc.server"]
-    os.kill(int(subprocess.run(find, capture_output=True, check=True).stdout), signal.SIGKILL)
-    assert until(lambda: not server.alive)
-    for t in (1.0, 2.0):
-        telemetry.check_server(t)
-    assert [(event.t, event.text.partition(";")[0]) for event in events.all] == [(1.0, "socket: its process is gone")]
 
 
 SLOW = """

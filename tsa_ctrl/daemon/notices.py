@@ -362,7 +362,7 @@ class Notices:
 
 
 class ProcessNotices:
-    """Monitor one process next to the loop, and add an event when it hangs, is replaced, or responds again.
+    """Monitor one process next to the loop, and add an event when it hangs, ends, is replaced, or responds again.
 
     A check only reads shared memory twice, so that the loop can check with every status.
     """
@@ -375,24 +375,27 @@ class ProcessNotices:
         replaced: Callable[[], int],
         if_hung: str,
         if_replaced: str,
+        if_gone: str,
     ) -> None:
         """Prepare the monitoring of one process.
 
         Args:
             name: name of the process in the events.
-            alive: returns False once it has ended, which is reported elsewhere; then it does not hang.
+            alive: returns False once it has ended.
             heard: returns the time of its last sign of life, s of the monotonic clock, 0 before the first.
             replaced: returns the number of its replacements so far.
             if_hung: consequence of a hanging process, for the events.
             if_replaced: consequence of its replacement.
+            if_gone: consequence of its end, and the remedy.
         """
         self.silent = 0.0  # s since the last sign of life if more than `SILENT`, else 0
         self._name = name
         self._alive = alive
         self._heard = heard
         self._replaced = replaced
-        self._if_hung, self._if_replaced = if_hung, if_replaced
+        self._if_hung, self._if_replaced, self._if_gone = if_hung, if_replaced, if_gone
         self._known = 0
+        self._gone = False
 
     def update(self, t: float, now: float, events: Events) -> None:
         """Check the process and add events; `t` in s of the log, `now` in s of the monotonic clock."""
@@ -405,7 +408,10 @@ class ProcessNotices:
                 t, "", f"{self._name}: its process hung or was gone, and another one took over; {self._if_replaced}"
             )
         age = now - heard
-        hangs = age > SILENT and self._alive()
+        if age > SILENT and not self._gone and not self._alive():
+            self._gone = True
+            events.add(t, "", f"{self._name}: its process is gone; {self._if_gone}")
+        hangs = age > SILENT and not self._gone
         if hangs and self.silent == 0.0:
             events.add(
                 t, "", f"{self._name}: its process hangs, nothing was heard of it for {age:.1f} s; {self._if_hung}"

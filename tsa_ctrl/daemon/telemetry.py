@@ -60,7 +60,6 @@ class Telemetry:
         self._noted = 0
         self._error_frames = 0
         self._warnings: dict[tuple[int, int], int] = {}  # number of reported warnings of each node
-        self._server: ServerProcess | None = None
         self._processes: list[ProcessNotices] = []
         if ring is not None and log is not None:
             self._processes.append(
@@ -71,6 +70,7 @@ class Telemetry:
                     lambda: ring.replaced,
                     "the loop goes on, records wait in memory for some seconds",
                     "the loop went on; the log goes on in another file (-2, -3 and so on in its name)",
+                    "the loop goes on, records are lost from here; end the run and start it again for a new log",
                 )
             )
         self._log = log
@@ -185,7 +185,7 @@ class Telemetry:
         return _status(axis), tuple(parameter.value for parameter in self._tuners[index].parameters)
 
     def check(self, t: float, records: int) -> None:
-        """Add events about log, sensors, bus and server; called about once a second.
+        """Add events about log, sensors and bus; called about once a second.
 
         `records` is the number of records that were passed to the log.
         """
@@ -193,7 +193,6 @@ class Telemetry:
         if self._sensors is not None:
             self._sensors.check(t, self._events)
         self._check_bus(t)
-        self.check_server(t)
 
     def _check_bus(self, t: float) -> None:
         """Add an event for new error frames, and for each new emergency that the profile classifies as a warning."""
@@ -212,7 +211,6 @@ class Telemetry:
 
     def watch_server(self, server: ServerProcess) -> None:
         """Monitor the socket server as well."""
-        self._server = server
         mailbox = self._mailbox
         self._processes.append(
             ProcessNotices(
@@ -222,23 +220,12 @@ class Telemetry:
                 lambda: mailbox.replaced,
                 "the loop goes on, a signal (SIGTERM) ends it; a process in its place follows",
                 "the loop went on; clients connect again",
+                "the loop goes on, no client can connect; end the run with tsa stop or SIGTERM, and start it again",
             )
         )
 
-    def check_server(self, t: float) -> None:
-        """Add an event if the socket server has ended."""
-        if self._server is None or self._server.alive:
-            return
-        self._server = None
-        self._events.add(
-            t,
-            "",
-            "socket: its process is gone; the loop goes on, but clients cannot connect; end the run with tsa stop or "
-            "SIGTERM, and start it again",
-        )
-
     def _check_log(self, t: float, records: int) -> None:
-        """Add an event when the log writer fails or has ended."""
+        """Add an event when the log writer fails, and count the lost records."""
         log = self._log
         if log is None or not self._log_alive:
             self.log_lost += records - self._written if log is not None else 0
@@ -257,9 +244,3 @@ class Telemetry:
         if not log.alive:
             self._log_alive = False
             self._written = health.written + health.lost
-            self._events.add(
-                t,
-                "",
-                "log: its process is gone; the loop goes on, records are lost from here; end the run and start it "
-                "again for a new log",
-            )
