@@ -239,16 +239,6 @@ def test_a_rejected_status_request_is_an_error_of_the_page(daemon: Played) -> No
     feed.close()
 
 
-def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:
-    """The page server connects again to each new daemon on the same path."""
-    feed = Feed(str(tmp_path / "tsa.sock"))
-    for _ in range(2):
-        assert "error" in feed.status()
-        with played(tmp_path / "tsa.sock"):
-            assert feed.status()["schema"] == 1
-    feed.close()
-
-
 def test_what_is_served_asks_for_nothing_from_elsewhere(client: TestClient) -> None:
     """The content security policy allows only the server itself, and no served file contains a foreign address.
 

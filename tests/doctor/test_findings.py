@@ -104,31 +104,6 @@ def test_one_processor_is_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     assert machine.processors().result is Result.WARN
 
 
-class Measured:
-    """A replacement for the process that tests the permissions. It returns the given result."""
-
-    def __init__(self, found: tuple[object, ...]) -> None:
-        self._found = found
-
-    def get_context(self, method: str) -> Measured:
-        return self
-
-    def Pipe(self, duplex: bool) -> tuple[Measured, Measured]:  # noqa: N802  the library's name
-        return self, self
-
-    def Process(self, **options: object) -> Measured:  # noqa: N802
-        return self
-
-    def recv(self) -> tuple[object, ...]:
-        return self._found
-
-    def start(self) -> None: ...
-
-    def join(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
 @pytest.mark.parametrize(
     ("fifo", "locked", "late", "results"),
     [
@@ -142,7 +117,7 @@ def test_rights_and_lateness_as_found(
     monkeypatch: pytest.MonkeyPatch, fifo: bool, locked: int, late: float, results: tuple[Result, ...]
 ) -> None:
     found = (fifo, 80 if fifo else 0, locked, (), np.full(100, late))
-    monkeypatch.setattr(machine, "multiprocessing", Measured(found))
+    monkeypatch.setattr(machine, "_in_a_process", lambda *_: found)
     lines = list(machine.checks(RealtimeSettings(), 1000.0, 0.1))[-3:]
     assert tuple(line.result for line in lines) == results
     assert all(bool(line.fix) == (line.result is not Result.PASS) for line in lines)
@@ -151,7 +126,7 @@ def test_rights_and_lateness_as_found(
 def test_a_single_late_cycle_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     late = np.full(1000, 20e-6)
     late[7] = 2e-3
-    monkeypatch.setattr(machine, "multiprocessing", Measured((True, 80, 1 << 20, (), late)))
+    monkeypatch.setattr(machine, "_in_a_process", lambda *_: (True, 80, 1 << 20, (), late))
     assert list(machine.checks(RealtimeSettings(), 1000.0, 0.1))[-1].result is Result.WARN
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.errors import BusError
@@ -168,10 +169,7 @@ def checks(settings: RealtimeSettings, rate: float, seconds: float) -> Iterator[
     yield governor()
     yield clock_source()
     yield throttling()
-    scheduling, memory, lateness = _in_a_process(settings, rate, seconds)
-    yield scheduling
-    yield memory
-    yield lateness
+    yield from _rights_and_lateness(settings, rate, *_in_a_process(settings, rate, seconds))
 
 
 def build() -> Check:
@@ -246,7 +244,10 @@ def throttling() -> Check:
     )
 
 
-def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tuple[Check, Check, Check]:
+Measured = tuple[bool, int, int, tuple[str, ...], NDArray[np.float64]]  # as `_measure` sends them
+
+
+def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> Measured:
     """Acquire the rights and measure the latency in a separate process, so that this process keeps its own rights."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
@@ -255,7 +256,8 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
         process.start()
     theirs.close()
     try:
-        fifo, priority, locked, missing, late = ours.recv()
+        found: Measured = ours.recv()
+        return found
     except EOFError:
         raise BusError("doctor: the measuring process ended; see the system's log (dmesg)") from None
     except BaseException:
@@ -263,8 +265,20 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
         raise
     finally:
         process.join()
+
+
+def _rights_and_lateness(
+    settings: RealtimeSettings,
+    rate: float,
+    fifo: bool,
+    priority: int,
+    locked: int,
+    missing: tuple[str, ...],
+    late: NDArray[np.float64],
+) -> Iterator[Check]:
+    """Yield the checks of scheduling, memory lock and wake-up latency `late` (s)."""
     wanted = Result.WARN if settings.allow_without else Result.FAIL
-    scheduling = judge(
+    yield judge(
         "scheduling",
         fifo and priority == settings.priority,
         f"SCHED_FIFO {priority}" if fifo else "SCHED_OTHER: real-time scheduling is rejected",
@@ -272,7 +286,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
         _first(missing, "SCHED_FIFO") or "give the user an rtprio limit: '@realtime - rtprio 95' in limits.conf",
         wanted,
     )
-    memory = judge(
+    yield judge(
         "memory lock",
         not settings.lock_memory or locked > 0,
         f"{locked / 2**20:.0f} MiB locked",
@@ -282,7 +296,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
     )
     p50, p99, worst = (float(v) for v in np.quantile(late, [0.5, 0.99, 1.0]) * 1e6)
     period = 1e6 / rate
-    lateness = judge(
+    yield judge(
         "lateness",
         worst < 0.3 * period,
         f"p50 {p50:.0f}, p99 {p99:.0f}, worst {worst:.0f} us in {len(late)} cycles at {rate:g} Hz",
@@ -290,7 +304,6 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
         "fix the lines above, stop other load, or lower [controller] rate",
         Result.FAIL if p99 > 0.3 * period else Result.WARN,
     )
-    return scheduling, memory, lateness
 
 
 def _measure(pipe: Connection, settings: RealtimeSettings, rate: float, seconds: float) -> None:

@@ -175,13 +175,13 @@ TICK = 1e-3  # s between two checks for missing frames
 class VirtualMonitor:
     """Run the monitor of the monitor process in virtual time, at a separate end of the wire.
 
-    It receives every frame from its construction on. `acts` is False for a monitor that only observes.
+    It receives every frame from its construction on.
     """
 
-    def __init__(self, wire: Wire, watched: Watched, acts: bool = True) -> None:
+    def __init__(self, wire: Wire, watched: Watched) -> None:
         self.report = Report()
         self.monitor = Monitor(watched)
-        self._wire, self._end, self._acts = wire, End(wire), acts
+        self._wire, self._end = wire, End(wire)
         self._number, self._due, self._open = 0, 0.0, True
         self._told: set[str] = set()
         wire.listeners.append(self._hear)
@@ -212,7 +212,7 @@ class VirtualMonitor:
 
     def _follow(self, now: float, frame: Frame | None) -> None:
         monitor = self.monitor
-        if monitor.step(frame, now) is None or not self._acts or self.report.confirmed or now < self._due:
+        if monitor.step(frame, now) is None or self.report.confirmed or now < self._due:
             return
         self._due = now + REPEAT
         confirmed = monitor.confirmed
