@@ -15,7 +15,7 @@ from tsa_ctrl.bus.settings import AxisNodes, EncoderSettings, Role
 from tsa_ctrl.bus.wire.link import is_simulated
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.provenance import NODES, NodeIdentity, nodes_table
+from tsa_ctrl.model.provenance import NODES, NodeIdentity
 
 REMEDY = "give the model file of this joint, or tune this joint again (tsa tune)"
 
@@ -122,7 +122,3 @@ class JointFiles:
     def nodes(self) -> Mapping[str, Mapping[str, NodeIdentity]]:
         """Return the nodes that were found, by axis and node."""
         return self._found
-
-    def found(self) -> Mapping[str, dict[str, dict[str, int]]]:
-        """Return the nodes that were found, as plain values, by axis and node."""
-        return {name: nodes_table(nodes) for name, nodes in self._found.items()}

@@ -219,7 +219,7 @@ class Lifecycle:
             events=loop.events.all,
             unconfirmed=tuple(self.unconfirmed),
             simulated=self._simulated,
-            joints=self._joint_files.found(),
+            joints=self._joint_files.nodes,
             log=log,
             log_written=written,
             log_lost=0 if log is None else loop.cycles * len(rig.axes) - written,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.outputs import json_types
+from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.safety.limiter import MEANINGS, Reason
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.system.histogram import Distribution
@@ -144,7 +144,7 @@ class Summary:
     events: tuple[Event, ...]
     unconfirmed: tuple[str, ...]
     simulated: bool  # True if the nodes were simulated
-    joints: Mapping[str, Mapping[str, Mapping[str, int]]]  # by axis and node: serial number, node id, slot
+    joints: Nodes
     log: str | None
     log_written: int
     log_lost: int

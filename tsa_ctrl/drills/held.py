@@ -26,7 +26,6 @@ from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.provenance import nodes_from
 from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.readiness import Nodes, SignAndGain
 from tsa_ctrl.safety.use_class import on_bench
@@ -63,7 +62,7 @@ def run_held(configuration: Configuration, say: Say = lambda line: None) -> tupl
             axis.name: sign_and_gain(axis.name, read_table(f"{summary.log}:{axis.name}", NAMES).columns, model)
             for axis, model in pairs
         }
-    return found, {axis: nodes_from(each) for axis, each in summary.joints.items()}
+    return found, summary.joints
 
 
 def held_configuration(configuration: Configuration, folder: str) -> Configuration:
