@@ -56,8 +56,11 @@ class Played:
         axis = QUARTERS._replace(
             t=t,
             tau_j_des=wanted,
-            tau_j=0.9 * wanted,
+            tau_j=0.9 * wanted if index == 0 else math.nan,  # the hip has no sensor
+            tau_j_model=math.nan,
+            tau_m=t,
             tau_m_cmd=0.7 * wanted,
+            q_j=0.25 * (1 + index),
             tau_j_stretch=0.88 * wanted,
             tau_j_stretch_low=0.88 * wanted - 0.1,
             tau_j_stretch_high=0.88 * wanted + 0.1,

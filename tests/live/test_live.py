@@ -16,12 +16,13 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 
-from tests.daemon.serving import PATIENCE, Serving, loop_taking
+from tests.daemon.serving import PATIENCE
+from tests.dashboard.playing import Played
 from tests.log.logs import HEADER, write_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.connection import CLIENTS
-from tsa_ctrl.ipc.mailbox import Command, Reading
+from tsa_ctrl.ipc.mailbox import Command
 from tsa_ctrl.ipc.protocol import Event
 
 pytest.importorskip("foxglove")
@@ -31,34 +32,21 @@ from tsa_ctrl.live import Publisher, write_layouts  # noqa: E402 (after the chec
 
 
 class Loop:
-    """Simulate the loop of a daemon at 1 kHz and publish its signals."""
+    """A simulated daemon and its publisher."""
 
     def __init__(self, path: Path, settable: bool) -> None:
-        self.serving = Serving(path, ["knee", "hip"])
-        self.publisher = Publisher(self.serving.path, 0, settable)
+        self.daemon = Played(path)
+        self.serving = self.daemon.serving
+        self.publisher = Publisher(self.daemon.path, 0, settable)
         self._running = True
-        self._threads = [
-            threading.Thread(target=self._cycle, daemon=True),
-            threading.Thread(target=self.publisher.run, args=(1000.0, lambda: self._running), daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
-
-    def _cycle(self) -> None:
-        number = 0
-        nothing = Reading(*(float("nan") for _ in Reading._fields))._replace(limit_reason=0.0, permitted=1.0)
-        while self._running:
-            number += 1
-            rows = [nothing._replace(q_j=0.25 * axis, tau_m=0.001 * number) for axis in (1, 2)]
-            self.serving.mailbox.measure(time.monotonic(), number, 2, rows)
-            time.sleep(0.001)
+        self._thread = threading.Thread(target=self.publisher.run, args=(1000.0, lambda: self._running), daemon=True)
+        self._thread.start()
 
     def end(self) -> None:
         self._running = False
-        for thread in self._threads:
-            thread.join(PATIENCE)
+        self._thread.join(PATIENCE)
         self.publisher.close()
-        self.serving.end()
+        self.daemon.end()
 
 
 class Reader:
@@ -124,7 +112,7 @@ def test_joint_states_have_the_fields_of_ros_and_the_status_the_signals_that_a_c
         number, stamp, content = reader.message()
         found[number] = (stamp, json.loads(content))
     (stamp, state), (_, status) = found[0], found[1]
-    assert (state["name"], state["position"], state["effort"]) == (["knee", "hip"], [0.25, 0.5], [0.0, 0.0])
+    assert (state["name"], state["position"], len(state["effort"])) == (["knee", "hip"], [0.25, 0.5], 2)
     assert state["header"]["stamp"]["sec"] == stamp // 10**9
     assert status["state"] == "operation_enabled"
     assert {"sigma", "friction_term", "pretension", "tau_j_stretch", "tau_j_stretch_low"} <= set(status)
@@ -150,7 +138,7 @@ def test_parameters_can_be_read_and_only_with_settable_be_set(loop: Loop) -> Non
     reader.socket.send(json.dumps(change))
     (parameter,) = reader.answer("parameterValues")["parameters"]
     assert parameter["value"] == 0.95
-    assert loop.serving.mailbox.take() is None
+    assert loop.daemon.taken == []
 
 
 @pytest.mark.parametrize("loop", [True], indirect=True)
@@ -162,14 +150,14 @@ def test_a_settable_parameter_passes_the_daemon_and_its_bounds(loop: Loop) -> No
         if isinstance(value, str | bool):
             reader = Reader(loop.publisher.port)
             reader.subscribe("/events")
-        with loop_taking(loop.serving) as commands:
-            reader.socket.send(json.dumps(change))
-            if isinstance(value, str | bool):
-                while b"knee.compensation: the value is not a number" not in reader.message()[2]:
-                    pass
-            else:
-                reader.answer("parameterValues")
-        assert commands == taken
+        before = len(loop.daemon.taken)
+        reader.socket.send(json.dumps(change))
+        if isinstance(value, str | bool):
+            while b"knee.compensation: the value is not a number" not in reader.message()[2]:
+                pass
+        else:
+            reader.answer("parameterValues")
+        assert loop.daemon.taken[before:] == taken
 
 
 def test_parameters_need_no_connection_that_stays_open(loop: Loop) -> None:
