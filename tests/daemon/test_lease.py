@@ -281,27 +281,12 @@ def test_a_loop_that_hangs_is_no_longer_commanded_unless_it_starts(desk: Desk, s
     assert owner.told() == ([] if starts else [ended])
 
 
-@pytest.mark.parametrize("how", ["stopping", "closed"])
-def test_the_end_of_the_daemon_is_told_as_that(desk: Desk, how: str) -> None:
+def test_the_end_of_the_daemon_is_told_as_that(desk: Desk) -> None:
     owner = desk.client()
     owner.ask("lease", seconds=10.0)
-    measured(desk, desk.now, phase=description(Path("x"), ["knee"]).phases.index("stopping"))
-    if how == "stopping":
-        desk.now += 1.0
-        told = owner.told()
-    else:
-        desk.server.close()
-        told = [json.loads(line) for line in owner.socket.recv(4096).splitlines()]
-        desk.server._selector, desk.server._listener = _Closed(), _Closed()  # type: ignore[assignment]
-    assert told == [{"event": "lease", "held": False, "why": "the daemon has ended"}]
-
-
-class _Closed:
-    def close(self) -> None:
-        pass
-
-    def select(self, timeout: float) -> list[Any]:
-        return []
+    measured(desk, desk.now, phase=LoopPhase.STOPPING.value)
+    desk.now += 1.0
+    assert owner.told() == [{"event": "lease", "held": False, "why": "the daemon has ended"}]
 
 
 def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
