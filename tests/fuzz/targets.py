@@ -41,7 +41,7 @@ from tsa_ctrl.dashboard.server import application
 from tsa_ctrl.errors import BusError, TsaError, UsageError
 from tsa_ctrl.ipc.connection import listen
 from tsa_ctrl.ipc.mailbox import RECOVER, Mailbox
-from tsa_ctrl.ipc.protocol import Set
+from tsa_ctrl.ipc.protocol import Recover, Set
 from tsa_ctrl.ipc.server import Server
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import read_table, read_waypoints
@@ -217,14 +217,13 @@ class _Feed:
     def status(self) -> dict[str, Any]:
         return {"error": "nobody answers"}
 
-    def set(self, change: Set) -> dict[str, Any]:
-        raise BusError(f"nobody takes {change}")
+    def ask(self, request: Set | Recover) -> dict[str, Any]:
+        if isinstance(request, Recover):
+            raise UsageError("nothing to recover from")
+        raise BusError(f"nobody takes {request}")
 
     def stop(self) -> dict[str, Any]:
         return {"signalled": 1}
-
-    def recover(self) -> dict[str, Any]:
-        raise UsageError("nothing to recover from")
 
 
 def _http(data: bytes) -> None:

@@ -59,21 +59,17 @@ class Feed:
     def status(self) -> dict[str, Any]:
         """Return the daemon's status, or {"error": ...} if the daemon does not answer or rejects the request."""
         try:
-            return self._ask(Status())
+            return self.ask(Status())
         except (BusError, UsageError) as error:
             return {"error": str(error)}
 
     def measure(self) -> dict[str, Any] | None:
         """Return the measurements of the newest cycle, or None without a cycle or without an answer."""
         try:
-            sample = self._ask(Measure())
+            sample = self.ask(Measure())
         except (BusError, UsageError):
             return None
         return sample if sample["cycle"] else None
-
-    def set(self, change: Set) -> dict[str, Any]:
-        """Change a parameter; the daemon checks its name and bounds. Raises UsageError and BusError."""
-        return self._ask(change)
 
     def stop(self) -> dict[str, Any]:
         """Ramp the torque to 0 and end the daemon, over a separate connection; see `Client.stop`.
@@ -84,15 +80,12 @@ class Feed:
         """
         return stop_daemon(self.path, STOP_TIMEOUT)
 
-    def recover(self) -> dict[str, Any]:
-        """Recover from a latched fault. Raises UsageError if it is rejected, BusError if the daemon does not answer."""
-        return self._ask(Recover())
-
     def close(self) -> None:
         with self._lock:
             self._drop()
 
-    def _ask(self, request: Status | Measure | Set | Recover) -> dict[str, Any]:
+    def ask(self, request: Status | Measure | Set | Recover) -> dict[str, Any]:
+        """Return the daemon's answer. Raises UsageError if it rejects the request, BusError without an answer."""
         with self._lock:
             try:
                 if self._client is None:
@@ -254,7 +247,7 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
             wanted = await _change(request)
         except UsageError as error:
             return JSONResponse({"error": str(error)}, 400)
-        return await _answered(run_in_threadpool(feed.set, wanted), 400)
+        return await _answered(run_in_threadpool(feed.ask, wanted), 400)
 
     stopping = ThreadPoolExecutor(STOPPING)
 
@@ -262,7 +255,7 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
         return await _answered(asyncio.get_running_loop().run_in_executor(stopping, feed.stop), 403)
 
     async def recover(request: Request) -> Response:
-        return await _answered(run_in_threadpool(feed.recover), 400)
+        return await _answered(run_in_threadpool(feed.ask, Recover()), 400)
 
     hosts = frozenset({f"{LOOPBACK}:{port}", f"localhost:{port}"})
     return Starlette(
