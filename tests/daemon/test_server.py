@@ -25,7 +25,7 @@ from tests.daemon.serving import Serving, loop_taking, until
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import server_process
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.connection import listen
+from tsa_ctrl.ipc.connection import Peer, listen
 from tsa_ctrl.ipc.mailbox import SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Set, SetPointValue, Status, make_private
 from tsa_ctrl.ipc.report import EventPrinter
@@ -272,6 +272,6 @@ def test_a_daemon_of_somebody_else_at_the_users_own_place_is_not_believed(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tsa_ctrl.ipc.client.default_path", lambda: serving.path)
-    monkeypatch.setattr("tsa_ctrl.ipc.client.user_of", lambda connection: 12345)
+    monkeypatch.setattr("tsa_ctrl.ipc.client.peer_of", lambda connection: Peer(1, 12345))
     with pytest.raises(BusError, match="user 12345 answers there"):
         Client(serving.path)

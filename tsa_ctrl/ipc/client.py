@@ -20,7 +20,7 @@ import msgspec
 from tsa_ctrl.arguments import kind_of, listing_arguments, number_of, path_of
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc import protocol, server_process
-from tsa_ctrl.ipc.connection import user_of
+from tsa_ctrl.ipc.connection import peer_of
 from tsa_ctrl.ipc.protocol import AnyRequest, Event, default_path
 from tsa_ctrl.signals import Kind, Place, signals_of
 
@@ -131,7 +131,7 @@ class Client:
                 f"{path}: no daemon answers there ({error.strerror or error}); "
                 "start one with `tsa run CONTROLLER.toml`, or give its --socket"
             ) from None
-        user = user_of(self._socket)
+        user = peer_of(self._socket).user
         if user not in (0, os.getuid()) and path == default_path():
             self._socket.close()
             raise BusError(f"{path}: user {user} answers there, not yours; look who made that file")

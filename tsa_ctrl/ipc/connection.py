@@ -61,11 +61,6 @@ def peer_of(connection: socket.socket) -> Peer:
     return Peer(process, user, groups | {group})
 
 
-def user_of(connection: socket.socket) -> int:
-    """Return the user id of the process that connected."""
-    return peer_of(connection).user
-
-
 def role_of(peer: Peer, command: Collection[int], watch: Collection[int]) -> Role | None:
     """Return the role of a peer by its user and groups, or None if it has no permission.
 
