@@ -83,11 +83,11 @@ def command(
     from tsa_ctrl.identify.provenance import provenance
     from tsa_ctrl.identify.unused import with_unused
     from tsa_ctrl.log.table import split_axis
-    from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+    from tsa_ctrl.model.parameters import save_model
 
     if out is not None:
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
-    nominal = load_tendon_sheath(model)
+    nominal = _loaded(model)
     used = "t1", "t3", *(("q_m", "q_j") if stretch else ())
     datasets = [
         with_unused(log, nominal, "calibrate", *used, *joint_columns(log, nominal))
@@ -144,6 +144,19 @@ def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
     if asked and click.confirm(f"{result.objection}; write {out}?", default=False):
         return
     raise UsageError(f"{out}: not written: {result.objection}; --yes writes the file anyway")
+
+
+def _loaded(model: Path) -> TendonSheath:
+    """Return the nominal model; raise UsageError for a plain drive, whose parameters `tsa diagnose` estimates."""
+    from tsa_ctrl.model.parameters import TendonSheath, load_model
+
+    loaded = load_model(model)
+    if isinstance(loaded, TendonSheath):
+        return loaded
+    raise UsageError(
+        f"{model}: is a {loaded.kind.value}; use tsa diagnose, which calibrates its parameters: "
+        f"tsa diagnose LOG --model {model} --out DIR writes them to DIR/extended.toml"
+    )
 
 
 def _change(text: str) -> tuple[str, float]:
