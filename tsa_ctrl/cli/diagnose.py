@@ -147,7 +147,6 @@ def _diagnose(
 
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    import tsa_ctrl.system.lazy_imports  # noqa: F401 (before all that imports scipy)
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
     from tsa_ctrl.identify.diagnosis.report.page import drawing, write

@@ -276,9 +276,6 @@ def postponed() -> Iterator[None]:
             signal.raise_signal(waiting)
 
 
-LEAN = "tsa_ctrl.system.lazy_imports"
-
-
 def worker_context(module: str) -> BaseContext:
     """Return a context that starts workers with `module` already imported.
 
@@ -291,7 +288,7 @@ def worker_context(module: str) -> BaseContext:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     context = get_context("forkserver")
-    context.set_forkserver_preload([LEAN, module])
+    context.set_forkserver_preload([module])
     with unheard_by_children():
         forkserver.ensure_running()
     return context
