@@ -12,6 +12,7 @@ import os
 import platform
 import time
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.process_supervisor import begin_worker, unheard_by_children
+from tsa_ctrl.system.process_supervisor import begin_worker, terminal_blocked
 from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.sleep import sleep_until
 from tsa_ctrl.version import build_kind
@@ -252,7 +253,8 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> Me
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_measure, args=(theirs, settings, rate, seconds), daemon=True)
-    with unheard_by_children():
+    resource_tracker.ensure_running()  # before the signals are blocked, because its start would unblock them
+    with terminal_blocked():
         process.start()
     theirs.close()
     try:

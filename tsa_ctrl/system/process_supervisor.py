@@ -54,7 +54,8 @@ def environment() -> dict[str, str]:
 def terminal_blocked() -> Iterator[None]:
     """Block SIGINT and SIGHUP, so that a process started in the block inherits the mask and ignores the terminal.
 
-    Its parent must end that process. In this process, both signals are delivered at the end of the block.
+    Its parent must end that process. In this process, both signals are delivered at the end of the block. A handler in
+    the child would be installed about a second later, and an earlier Ctrl-C would end the child with a traceback.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
@@ -236,25 +237,6 @@ def ignore(*numbers: signal.Signals) -> None:
 
 
 @contextlib.contextmanager
-def unheard_by_children() -> Iterator[None]:
-    """Shield processes that this thread starts in the block from Ctrl-C.
-
-    This process receives a pending Ctrl-C after the block and must end its children. The block uses the signal mask,
-    because a new program inherits it from its first instruction. A handler in the child would be installed about a
-    second later, and an earlier Ctrl-C would end the child with a traceback. The resource tracker of multiprocessing is
-    started first, because its start would reset the mask.
-    """
-    from multiprocessing import resource_tracker  # imported here, because most processes have no children
-
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextlib.contextmanager
 def postponed() -> Iterator[None]:
     """Postpone SIGINT and SIGTERM to the end of the block.
 
@@ -283,13 +265,15 @@ def worker_context(module: str) -> BaseContext:
     A fork of this process itself would copy locks that its threads hold. Linear algebra is limited to one thread per
     process, because the workers would otherwise compete for the processors.
     """
-    from multiprocessing import forkserver, get_context  # imported here, because most processes have no workers
+    # imported here, because most processes have no workers
+    from multiprocessing import forkserver, get_context, resource_tracker
 
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     context = get_context("forkserver")
     context.set_forkserver_preload([module])
-    with unheard_by_children():
+    resource_tracker.ensure_running()  # before the signals are blocked, because its start would unblock them
+    with terminal_blocked():
         forkserver.ensure_running()
     return context
 
