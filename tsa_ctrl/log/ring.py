@@ -123,12 +123,8 @@ class RingWriter(Ring):
 class RingReader(Ring):
     """A reader of the ring with its own position."""
 
-    def __init__(self, fd: int, from_start: bool = True) -> None:
-        """Map the ring of a descriptor.
-
-        Args:
-            fd: descriptor of the ring.
-            from_start: True to start after the last stored record, False to read new records only.
+    def __init__(self, fd: int) -> None:
+        """Map the ring of a descriptor, and start after the last stored record.
 
         Raises:
             ValueError: The descriptor is not a ring of this version.
@@ -138,18 +134,15 @@ class RingReader(Ring):
             raise ValueError("not a ring of this version")
         super().__init__(axes, slots, os.dup(fd))
         stored = [self._words[_Word.STORED + axis] for axis in range(self.axes)]
-        self._next = [stored[axis] + 1 if from_start else self._count(axis) + 1 for axis in range(self.axes)]
-        self._next_note = 1 if from_start else self.word(_Word.NOTES) + 1
+        self._next = [number + 1 for number in stored]
+        self._next_note = 1
         self.written = self.word(_Word.WRITTEN)  # records written by earlier writers
         self.lost = sum(stored) - self.written
-
-    def _count(self, axis: int) -> int:
-        return self._words[_Word.COUNT + axis]
 
     def read(self, axis: int) -> NDArray[np.float64]:
         """Return the records of one axis since the last call, oldest first, (k, fields)."""
         first = self._next[axis]
-        found, self._next[axis] = _taken(self._places[axis], first, self._count(axis))
+        found, self._next[axis] = _taken(self._places[axis], first, self._words[_Word.COUNT + axis])
         self.lost += self._next[axis] - first - len(found)
         return np.frombuffer(b"".join(found)).reshape(-1, len(FIELDS))
 
