@@ -32,8 +32,6 @@ class StoppedError(TsaError):
 class BusError(TsaError):
     """The machine or the bus failed (exit code 1)."""
 
-    exit_code = 1
-
 
 class LeaseLostError(BusError):
     """This client no longer controls the set-point. The message has the reason."""

@@ -263,7 +263,7 @@ def bench(
     bus = open_bus(configuration.file.bus)
     try:
         simulated = _nobody(configuration, bus)
-        rights = realtime.acquire(_patient(configuration))
+        rights = realtime.acquire(msgspec.structs.replace(configuration.file.realtime, allow_without=True))
         try:
             with _nodes(configuration, bus, simulated, say):
                 return _measure(configuration, bus, seconds, margin, simulated, rights, progress)
@@ -282,14 +282,6 @@ def _tolerant(configuration: Configuration) -> Configuration:
     return replace(
         configuration,
         file=msgspec.structs.replace(file, bus=msgspec.structs.replace(file.bus, supervision=supervision)),
-    )
-
-
-def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
-    """Return real-time settings with which the measurement runs even without the rights."""
-    asked = configuration.file.realtime
-    return realtime.RealtimeSettings(
-        priority=asked.priority, lock_memory=asked.lock_memory, cpu=asked.cpu, allow_without=True
     )
 
 

@@ -18,6 +18,7 @@ from typing import Protocol
 from tsa_ctrl.bus.wire.bus import BusFault, Counters, Frame
 
 NAME = "virtual time"
+QUEUE = 128  # most waiting frames of one end; others are dropped
 _OVERHEAD, _PER_BYTE = 47, 8  # bits of a frame with an 11-bit identifier, interframe space included, without stuffing
 
 Action = Callable[[float], None]
@@ -39,14 +40,13 @@ class Nodes(Protocol):
 class Wire:
     """Hold the time (`now`, s), the frames in transit between the two ends, and the scheduled events."""
 
-    def __init__(self, bitrate: float, queue: int = 128) -> None:
-        """Create an idle wire; `bitrate` in bit/s; `queue`: most waiting frames of one end, others are dropped."""
+    def __init__(self, bitrate: float) -> None:
+        """Create an idle wire; `bitrate` in bit/s."""
         self.now = 0.0
         self.host = HostEnd(self)
         self.plant = End(self)
         self.listeners: list[Callable[[Frame, float], None]] = []  # receive every transmitted frame and the time
         self._bit = 1.0 / bitrate
-        self._queue = queue
         self._up = True
         self._nodes: Nodes | None = None
         self._waiting: list[tuple[int, int, bytes, End]] = []  # identifier, order of sending, data, sender
@@ -70,7 +70,7 @@ class Wire:
         """Send a frame or queue it; return False if the queue is full or the interface is down."""
         if not self._up:
             sender.fault = sender.fault or BusFault.INTERFACE_DOWN
-        if sender.fault is not None or sender.queued >= self._queue:
+        if sender.fault is not None or sender.queued >= QUEUE:
             sender.counters.dropped += 1
             return False
         sender.counters.sent += 1
