@@ -34,7 +34,9 @@ SAME = [
     PLAIN.replace(",", " , "),
     "\ufeff" + PLAIN,
     "# recorded on a bench\n#\n" + PLAIN,
-    PLAIN + "\n\n  \n",
+    PLAIN.replace("\n", "\n\n \t\n"),
+    PLAIN.replace("\n", "\r\n\r\n"),
+    PLAIN + ",\n,\n",
     PLAIN.replace("t,tau_m", '"t","tau_m"').replace("1.5", '"1.5"'),
     PLAIN.replace("0.001", "1E-3").replace("-2.5", "-25e-1"),
     "t,,tau_m,\n0,,1.5,\n0.001,,-2.5,\n",  # spreadsheets export empty columns without a name
@@ -64,13 +66,10 @@ NO_TABLES = [
     (b"t,tau_m\n0,1\n2,3,4\n", "row 2 (line 3) has 3 field(s)"),
     (b"t,tau_m\n0,1,1,5\n", "a decimal comma"),
     (b"t;tau_m\n0,5;1,5\n", "found '0,5' where a number is needed (a decimal comma"),
-    (b"t,tau_m\n0,1\n\n2,3\n", "row 2 (line 3) is empty"),
     (b"# x\nt,tau_m\n0,1\n1,oops\n", "column tau_m, row 2 (line 4): found 'oops'"),
     (b"t,tau_m\n0,0x10\n", "found '0x10'"),
     (b"t,tau_m\n0,1d\n", "found '1d'"),
     (b't,tau_m\n0,"1\n', "row 1 (line 2) has an unclosed quote"),
-    (b"t,tau_m\n0,1\n \n2,3\n", "row 2 (line 3) is empty"),
-    (b"t,tau_m\n\n2,3\n", "row 1 (line 2) is empty"),
 ]
 
 
@@ -98,22 +97,6 @@ def test_text_in_a_column_that_nobody_asked_for_is_left_out_but_is_an_error_in_a
     assert np.isnan(columns["tau_m"][0])
     with pytest.raises(UsageError, match="column tau_m, row 1"):
         read_csv(written(tmp_path, "t,tau_m\n0,high\n"))
-
-
-@pytest.mark.parametrize("end", ["", "\n"])
-@pytest.mark.parametrize("size", [40, 1 << 20, (1 << 20) + 1, 1 << 22, (1 << 22) + 3])
-def test_a_blank_line_before_the_last_row_is_found_wherever_a_block_ends(tmp_path: Path, size: int, end: str) -> None:
-    """`size` is the number of bytes up to the end of the blank line.
-
-    A file is read in blocks whose size is a power of two.
-    """
-    head, row = "t,tau_m\n", "0,1.5\n"
-    rows, more = divmod(size - len(head) - 1, len(row))
-    text = head + row * (rows - 1) + f"0,{'1':0>{3 + more}}\n"
-    assert len(text) + 1 == size
-    assert len(read_csv(written(tmp_path, text + "\n"))[0]["t"]) == rows
-    with pytest.raises(UsageError, match=rf"row {rows + 1} \(line {rows + 2}\) is empty"):
-        read_csv(written(tmp_path, f"{text}\n2,3{end}"))
 
 
 def test_a_column_may_turn_from_numbers_to_text_late(tmp_path: Path) -> None:

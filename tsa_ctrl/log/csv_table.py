@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import itertools
 import os
 import re
 import tempfile
@@ -85,13 +86,11 @@ def said(error: Exception) -> str:
 
 
 HEAD = 1 << 16  # bytes that are searched for the header
-BLOCK = 1 << 20  # bytes that are searched for blank lines at once, which limits the memory
 LONGEST = 2 << 20  # bytes of a line: 100,000 numbers of 17 digits
 DELIMITERS = ",;\t"
 LOOKED_AT = 1000  # first rows, which must be numbers in a column that is not a signal, or the column is not read
 SMALL = 1 << 20  # bytes; float() parses them in less than the 0.2 s that the import of DuckDB takes
 _PLAIN = re.compile(r"[-+0-9.eE,; \t\r\n]*")  # only numbers, delimiters and line ends
-_BLANK = re.compile(rb"\n[ \t\r]*(?=\n)")
 _LINE = re.compile(r"CSV Error on Line: (\d+)")  # message of DuckDB
 _LENGTH = re.compile(r"^Expected Number of Columns: \d+ Found: (\d+)$", re.MULTILINE)
 _NO_NUMBER = re.compile(
@@ -116,16 +115,14 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
     """
     try:
         with _open(path) as stream:
-            head = stream.read(HEAD)
-            names, delimiter, above = _header(path, head)
-            end = _end(path, stream, head, above)
+            names, delimiter, above = _header(path, stream.read(HEAD))
+        kept = [place for place, name in enumerate(names) if is_selected(name, wanted)]  # by place: names may be empty
+        numeric = [place for place in kept if wanted is not None or is_input(names[place])]
+        with _without_blank_lines(path, above) as file:
+            columns = _Source(path, file, names, delimiter, above).read(kept, numeric) if kept else {}
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
-    kept = [place for place, name in enumerate(names) if is_selected(name, wanted)]  # by place: names may be empty
-    numeric = [place for place in kept if wanted is not None or is_input(names[place])]
-    with _up_to(path, end) as file:
-        columns = _Source(path, file, names, delimiter, above).read(kept, numeric) if kept else {}
     return columns, [name for name in names if name not in columns], above
 
 
@@ -133,66 +130,35 @@ def _open(path: Path) -> BinaryIO | gzip.GzipFile:
     return gzip.GzipFile(path, "rb") if path.suffix.lower() == ".gz" else path.open("rb")
 
 
-def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) -> int | None:
-    """Return the number of bytes before trailing lines of spaces, or None without such lines.
+@contextlib.contextmanager
+def _without_blank_lines(path: Path, above: int) -> Iterator[Path]:
+    """Yield the path of the file, or of an unpacked copy without the blank lines below line `above`, if it has any.
 
-    DuckDB would read such lines as rows.
-
-    Args:
-        path: file, for messages.
-        stream: file after its first bytes were read.
-        head: the first bytes of the file.
-        above: number of lines above the first row.
+    DuckDB skips some blank lines, rejects others and reads others as rows.
 
     Raises:
-        UsageError: There is a blank line before a row, which DuckDB would skip without a warning, or a compressed file
-            unpacks to more than a log can hold.
+        UsageError: A line is too long, or a compressed file unpacks to more than a log can hold.
     """
-    counted = DecompressionLimit(path) if isinstance(stream, gzip.GzipFile) else None
 
-    def following() -> bytes:
-        block = stream.read(BLOCK)
-        if counted:
-            counted.take(len(block))
-        return block
+    def lines() -> Iterator[bytes]:
+        with _open(path) as stream:
+            counted = DecompressionLimit(path) if isinstance(stream, gzip.GzipFile) else None
+            while line := stream.readline(LONGEST + 1):
+                if len(line) > LONGEST:
+                    raise UsageError(
+                        f"{path}: a line is longer than {LONGEST >> 20} MiB; this is not a table of numbers"
+                    )
+                if counted is not None:
+                    counted.take(len(line))
+                yield line
 
-    if counted:
-        counted.take(len(head))
-    first = b"".join(head.split(b"\n", above)[above:])
-    buffer, start, rows = b"\n" + first, len(head) - len(first) - 1, 0  # of the buffer: where it starts, rows before it
-    while True:
-        block = following()
-        found = _BLANK.search(buffer if block else buffer + b"\n")
-        if found or not block:
-            break
-        last = buffer.rindex(b"\n")
-        if len(buffer) - last > LONGEST:
-            raise UsageError(f"{path}: a line is longer than {LONGEST >> 20} MiB; this is not a table of numbers")
-        rows, start = rows + buffer.count(b"\n", 0, last), start + last
-        buffer = buffer[last:] + block
-    if found is None:
-        return None
-    row = rows + buffer.count(b"\n", 0, found.start()) + 1
-    blank, spaces = buffer[found.start() :], False
-    while blank:
-        if blank.strip():
-            raise UsageError(_empty(path, row, above))
-        spaces = spaces or bool(blank.strip(b"\r\n"))
-        blank, block = block, block and following()
-    return start + found.start() + 1 if spaces else None
-
-
-@contextlib.contextmanager
-def _up_to(path: Path, end: int | None) -> Iterator[Path]:
-    """Yield the path of the file, or the path of an unpacked copy of its first `end` bytes."""
-    if end is None:
+    if all(line.strip() for line in itertools.islice(lines(), above, None)):
         yield path
         return
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "head.csv"
-        with _open(path) as source, copy.open("wb") as target:
-            while end and (block := source.read(min(end, BLOCK))):
-                end -= target.write(block)
+        copy = Path(folder) / "rows.csv"
+        with copy.open("wb") as target:
+            target.writelines(line for number, line in enumerate(lines()) if number < above or line.strip())
         yield copy
 
 
@@ -230,7 +196,7 @@ class _Source:
         except duckdb.Error as error:
             raise UsageError(self._refused(error)) from None
         places = [place for place in kept if str(place) in found and not np.any(found.get(f"text {place}", False))]
-        rows = self._rows([found[str(place)] for place in places])
+        rows = _filled([found[str(place)] for place in places])
         return {self.names[place]: doubles(found.pop(str(place)))[:rows] for place in places}
 
     def _plain(self, kept: list[int]) -> Columns | None:
@@ -265,19 +231,6 @@ class _Source:
         }
         return f"read_csv('{name}', {', '.join(f'{key} = {value}' for key, value in options.items())})"
 
-    def _rows(self, columns: list[Any]) -> int:
-        """Return the number of rows without trailing empty rows. Raise UsageError for an empty row before others."""
-        rows = len(columns[0]) if columns else 0
-        if not all(isinstance(column, np.ma.MaskedArray) for column in columns):
-            return rows
-        empty = np.logical_and.reduce([np.ma.getmaskarray(column) for column in columns])
-        if not empty.any():
-            return rows
-        first = int(np.argmax(empty))
-        if not empty[first:].all():
-            raise UsageError(_empty(self.path, first + 1, self.above))
-        return first
-
     def _refused(self, error: Exception) -> str:
         text = str(error)
         line = _LINE.search(text)
@@ -302,9 +255,14 @@ def _cast(place: int) -> str:
     return f'TRY_CAST("{place}" AS DOUBLE)'
 
 
-def _empty(path: Path, row: int, above: int) -> str:
-    place = f"row {row} (line {row + above})"
-    return f"{path}: {place} is empty; a log must not have gaps: remove the line or cut the file there"
+def _filled(columns: list[Any]) -> int:
+    """Return the number of rows without the rows of empty fields at the end, which spreadsheets write."""
+    rows = len(columns[0]) if columns else 0
+    if not all(isinstance(column, np.ma.MaskedArray) for column in columns):
+        return rows
+    empty = np.logical_and.reduce([np.ma.getmaskarray(column) for column in columns])
+    filled = np.flatnonzero(~empty)
+    return int(filled[-1]) + 1 if filled.size else 0
 
 
 def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
