@@ -17,6 +17,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.text import read_foreign
 from tsa_ctrl.log.table import read_table
+from tsa_ctrl.settings import load
 
 GERMAN = (
     "Messung;Prüfstand 3\nDatum;31.01.2025\n\n"
@@ -162,7 +163,7 @@ def test_a_separator_is_one_character_other_than_a_quote(tmp_path: Path) -> None
     for separator in ("ab", '\\"', "\\n"):
         (tmp_path / "map.toml").write_text(f'[table]\nseparator = "{separator}"\n')
         with pytest.raises(UsageError, match="one character"):
-            mapping.load_map(tmp_path / "map.toml")
+            load(tmp_path / "map.toml", mapping.MapFile)
 
 
 N = 40

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from tsa_ctrl.log.foreign.mapping import Imported, Mapped
 from tsa_ctrl.log.foreign.names import listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign, row_clock
 from tsa_ctrl.outputs import terminal
+from tsa_ctrl.settings import load
 from tsa_ctrl.signals import COLUMNS
 
 MOST_SIGNALS = 100  # different names in a column of signal names
@@ -89,12 +90,8 @@ def understand(
     Raises:
         UsageError: The file or the mapping is wrong.
     """
-    file = mapping.MapFile() if map_file is None else mapping.load_map(map_file)
-    table = read_foreign(path, mapping.full_shape(file))
-    shape = mapping.shape_of(file, table.shape)
-    if table.shape not in (shape, NO_TEXT):
-        table = read_foreign(path, shape)
-    table = replace(table, stated=file.table.decimal is not None)
+    file = mapping.MapFile() if map_file is None else load(map_file, mapping.MapFile)
+    table = read_foreign(path, file.table.shape)
     said = {**file.column, **dict(mapping.parse_column(text) for text in given)}
     rate = rate or file.table.rate
     if rate is not None:

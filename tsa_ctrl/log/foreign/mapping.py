@@ -26,7 +26,7 @@ from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.foreign.names import Name, listed
-from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, Shape
+from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable
 from tsa_ctrl.log.foreign.units import (
     DATE,
     DEVICE_UNITS,
@@ -50,6 +50,12 @@ class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     decimal: Annotated[str, Meta(pattern=r"^[.,]\Z", description='"." or ","')] | None = None
     header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0 without such a line
     rate: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None  # Hz, for a table without a time column
+
+    @property
+    def shape(self) -> dict[str, str | int]:
+        """Return the keys of the shape of the text that the file has."""
+        keys = ("encoding", "separator", "decimal", "header")
+        return {key: value for key in keys if (value := getattr(self, key)) not in (None, "")}
 
 
 class ColumnSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, rename={"source": "from"}):
@@ -85,30 +91,6 @@ class Mapped:
         return table.numbers(self.source) * self.scale + self.offset
 
 
-def shape_of(file: MapFile, told: Shape) -> Shape:
-    """Return the shape of the text from the mapping file, with missing keys from `told`, the text's own shape."""
-    given = file.table
-    return Shape(
-        given.encoding or told.encoding,
-        given.separator or told.separator,
-        given.decimal or told.decimal,
-        told.header if given.header is None else given.header,
-    )
-
-
-def full_shape(file: MapFile) -> Shape | None:
-    """Return the shape of the text if the mapping file has all keys of it, or None otherwise."""
-    given = file.table
-    if given.encoding and given.separator and given.decimal and given.header is not None:
-        return Shape(given.encoding, given.separator, given.decimal, given.header)
-    return None
-
-
-def load_map(path: Path) -> MapFile:
-    """Read a mapping file. Raise UsageError if it is not valid."""
-    return settings.load(path, MapFile)
-
-
 def parse_column(text: str) -> tuple[str, ColumnSettings]:
     """Parse `NAME=FOREIGN NAME`, `NAME=FOREIGN NAME|UNIT` or `...|UNIT*SCALE` of the command line.
 
@@ -142,7 +124,7 @@ def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str
             advice = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(INPUTS)}"
             raise UsageError(f"{where}: unknown column '{name}'; {advice}")
         source = _source(table, wanted.source, where)
-        unit = wanted.unit or unit_in(source, table, name) or ""
+        unit = wanted.unit or _unit(Name(source), table, name) or ""
         found.append(_mapped(name, source, unit, wanted.scale, wanted.offset, where))
     return found
 
@@ -297,14 +279,6 @@ def _is_clock(values: NDArray[np.float64], stated: bool) -> bool:
 
 def _counts_rows(values: NDArray[np.float64]) -> bool:
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
-
-
-def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
-    """Return the unit in brackets, or after the last space, slash or underscore of a name, or None without a unit.
-
-    A canonical name has its canonical unit.
-    """
-    return _unit(Name(source), table, name)
 
 
 def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:

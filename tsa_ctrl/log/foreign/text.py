@@ -174,8 +174,12 @@ def row_clock(rate: float) -> str:
     return f"row / {rate:.12g} Hz"
 
 
-def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
-    """Read a table in the format that its name and content suggest, or a text table in the format `shape`.
+def read_foreign(path: Path, given: Mapping[str, Any] | None = None) -> ForeignTable:
+    """Read a table in the format that its name and content suggest.
+
+    Args:
+        path: file to read.
+        given: attributes of the `Shape` of a text, which are otherwise determined from the text.
 
     Raises:
         UsageError: The file cannot be read. The message is one line.
@@ -184,15 +188,16 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     if suffix in ARRAYS:
         arrays = read_with(ARRAYS[suffix], path)
         return ForeignTable(path, NO_TEXT, tuple(arrays.columns), {}, 1, 0, arrays.columns, arrays.dropped)
-    note = ""
+    note, given = "", given or {}
     if suffix in TEXTS:
         (text, note), encoding = read_with(TEXTS[suffix], path), "utf-8"
     else:
-        text, encoding = _text(path, None if shape is None else shape.encoding)
+        text, encoding = _text(path, given.get("encoding"))
     lines = _recorded(text.splitlines())
     if not any(line.strip() for line in lines):
         raise UsageError(f"{path}: is empty; give a table with a header line and rows of numbers")
-    told = _told(path, lines, encoding) if shape is None else shape
+    complete = given.keys() == vars(NO_TEXT).keys()
+    told = Shape(**given) if complete else replace(_told(path, lines, encoding), **given)
     above = max(0, told.header - 1)
     rows = _rows(lines[above:], told.separator, path, above)
     if told.header == 0 and _has_row_per_signal(rows):
@@ -234,7 +239,7 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     footer = _footer(body)
     del body[len(body) - footer :]
     cells = {name: [row[i] for row in body] for i, name in enumerate(names)}
-    return ForeignTable(path, told, names, cells, first, ignored + footer, note=note)
+    return ForeignTable(path, told, names, cells, first, ignored + footer, note=note, stated="decimal" in given)
 
 
 def _has_row_per_signal(rows: Sequence[Sequence[str]]) -> bool:
