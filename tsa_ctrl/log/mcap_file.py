@@ -88,19 +88,24 @@ HEAD = "head"  # metadata record at the end of the head, with the checksum of al
 FILES = "file:"  # prefix of the metadata records that contain the text of a configuration file
 RUN = "run.json"  # file in the head that contains the arguments of a virtual run; other logs have none
 
-MESSAGE = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-        ("cdr", "V4"),
-        ("values", "<f8", (len(FIELDS),)),
-    ]
-)
-"""One message record inside a chunk, packed."""
+
+def message_type(fields: int) -> np.dtype[np.void]:
+    """Return the type of a message record inside a chunk, packed, with this number of values."""
+    return np.dtype(
+        [
+            ("opcode", "u1"),
+            ("length", "<u8"),
+            ("channel", "<u2"),
+            ("sequence", "<u4"),
+            ("log_time", "<u8"),
+            ("publish_time", "<u8"),
+            ("cdr", "V4"),
+            ("values", "<f8", (fields,)),
+        ]
+    )
+
+
+MESSAGE = message_type(len(FIELDS))
 
 
 def schema_text() -> bytes:

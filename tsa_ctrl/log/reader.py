@@ -28,7 +28,7 @@ from mcap.records import Channel, Chunk, Message, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.mcap_file import FILES, HEAD, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note
+from tsa_ctrl.log.mcap_file import FILES, HEAD, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note, message_type
 from tsa_ctrl.signals import JOINT_ANGLE
 
 ALWAYS = 256 << 20  # bytes to which any file may unpack: half an hour of one axis at 1 kHz as CSV
@@ -55,16 +55,6 @@ class DecompressionLimit:
 
 _DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage
 _PREFIX = 9  # bytes of opcode and length before the content of a record
-_HEAD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("times", "<u8", (2,)),
-        ("cdr", "V4"),
-    ]
-)
 
 
 class LogFile:
@@ -125,7 +115,7 @@ class LogFile:
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Yield name and records (k, fields) of each axis in each chunk, with the fields in the order of `wanted`."""
         pick = [self.fields.index(name) for name in wanted]
-        message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
+        message = message_type(len(self.fields))
         self.complete, self.damaged = False, 0
         self.notes = []
         counted = DecompressionLimit(self.path)
@@ -147,7 +137,7 @@ class LogFile:
                 self.damaged += 1
                 continue
             messages = np.frombuffer(data, dtype=message)
-            channel = messages["head"]["channel"]
+            channel = messages["channel"]
             numbers = np.unique(channel).tolist()
             if not self._channels.keys() >= set(numbers):  # records of an axis that is not in the header
                 self.damaged += 1
