@@ -106,30 +106,22 @@ def investigate(
     return _Investigator(play, model, bounds, most, seed, say, write, seconds).run(logs)
 
 
+@dataclass
 class _Investigator:
-    def __init__(
-        self,
-        play: Play,
-        model: JointModel,
-        bounds: Bounds,
-        most: int,
-        seed: int,
-        say: Progress,
-        write: Callable[[Step], None],
-        seconds: float,
-    ) -> None:
-        self._play = play
-        self._model = model
-        self._bounds = bounds
-        self._most = most
-        self._seed = seed
-        self._say = say
-        self._write = write
-        self._seconds = seconds
-        self._logs: list[Dataset] = []
-        self._steps: list[Step] = []
-        self._motions = 0
-        self._attempts: dict[frozenset[str], int] = {}
+    """Hold the arguments of `investigate`, and the logs and steps so far."""
+
+    _play: Play
+    _model: JointModel
+    _bounds: Bounds
+    _most: int
+    _seed: int
+    _say: Progress
+    _write: Callable[[Step], None]
+    _seconds: float
+    _logs: list[Dataset] = field(default_factory=list)
+    _steps: list[Step] = field(default_factory=list)
+    _motions: int = 0
+    _attempts: dict[frozenset[str], int] = field(default_factory=dict)
 
     def run(self, logs: Sequence[Dataset]) -> Investigation:
         try:
