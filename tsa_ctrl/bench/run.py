@@ -10,7 +10,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -52,8 +52,6 @@ class Times:
 
     @classmethod
     def of(cls, values: NDArray[np.float64]) -> Times:
-        if not values.size:
-            return cls(math.nan, math.nan, math.nan, math.nan)
         return cls(*(float(v) for v in np.quantile(values, [0.5, 0.99, WHOLE, 1.0])))
 
 
@@ -69,16 +67,6 @@ class Measured:
     lateness: Times
     command: Times  # from the wake-up to the last command
     busy: Times
-
-
-@dataclass
-class _Samples:
-    lateness: list[float] = field(default_factory=list)
-    command: list[float] = field(default_factory=list)
-    busy: list[float] = field(default_factory=list)
-    lost: int = 0
-    late: int = 0
-    enabled: int = 0
 
 
 def measure(
@@ -99,18 +87,10 @@ def measure(
         telemetry = Telemetry(rig, axes, tuners, mailbox, ring, None, Events())
         rig.start()
         count = max(LEAST, round(seconds * rate))
-        samples = _run(rig, axes, telemetry, rate, count, file.controller.collect / rate, enable, progress)
+        return _run(rig, axes, telemetry, rate, count, file.controller.collect / rate, enable, progress)
     finally:
         ring.close()
         mailbox.close()
-    return Measured(
-        rate,
-        len(samples.busy),
-        samples.lost,
-        samples.late,
-        samples.enabled,
-        *(Times.of(np.array(values)) for values in (samples.lateness, samples.command, samples.busy)),
-    )
 
 
 def _run(
@@ -122,8 +102,9 @@ def _run(
     collect: float,
     enable: bool,
     progress: Callable[[float], None],
-) -> _Samples:
-    samples = _Samples()
+) -> Measured:
+    lost = late = enabled = 0
+    times: list[tuple[float, float, float]] = []  # s: wake-up after the deadline, to the last command, and to the end
     clock, period = time.monotonic_ns, round(1e9 / rate)
     first = round(WARM_UP * count)
     freeze_garbage()
@@ -139,12 +120,10 @@ def _run(
         end = clock()
         if number >= first:
             complete = all(axis.image.fresh for axis in axes)
-            samples.lost += not complete
-            samples.late += woke - deadline > period // 2
-            samples.enabled += all(axis.terms.permitted for axis in axes)
-            samples.lateness.append((woke - deadline) * 1e-9)
-            samples.command.append((done - woke) * 1e-9)
-            samples.busy.append((end - deadline) * 1e-9)
+            lost += not complete
+            late += woke - deadline > period // 2
+            enabled += all(axis.terms.permitted for axis in axes)
+            times.append(((woke - deadline) * 1e-9, (done - woke) * 1e-9, (end - deadline) * 1e-9))
         elif enable and number == first // 2:
             for axis in axes:
                 axis.set_point.gain = 0.0  # everything is computed as usual, but simulated nodes deliver no torque
@@ -154,7 +133,7 @@ def _run(
         deadline += period * max(1, -(-(clock() - deadline) // period))
     for axis in axes:
         axis.request = Request.DISABLE
-    return samples
+    return Measured(rate, len(times), lost, late, enabled, *map(Times.of, np.array(times).T))
 
 
 HIGHEST = 4000.0  # Hz, upper limit of [controller] rate
@@ -182,8 +161,8 @@ def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, m
     """
     busy, command = measured.busy.p999, measured.command.p999
     found = (
-        Bound("cycle", _inverse((1.0 - margin), busy), f"{_us(busy)} from the deadline to the end of a cycle"),
-        Bound("answers", _inverse((1.0 - margin) * collect, command), f"{_us(command)} from SYNC to the command"),
+        Bound("cycle", (1.0 - margin) / busy, f"{_us(busy)} from the deadline to the end of a cycle"),
+        Bound("answers", (1.0 - margin) * collect / command, f"{_us(command)} from SYNC to the command"),
         Bound("bit rate", bus_rate, f"at most {100 * max_load:.0f} % of the bit rate, in the worst case"),
         Bound("configuration", HIGHEST, "largest value of [controller] rate"),
     )
@@ -202,10 +181,6 @@ def holds(measured: Measured, margin: float) -> bool:
     """Return True if no answer was lost or late at this rate and half of the margin stayed free."""
     allowed = (1.0 - 0.5 * margin) / measured.rate
     return measured.lost == 0 and measured.late == 0 and measured.busy.p999 <= allowed
-
-
-def _inverse(share: float, seconds: float) -> float:
-    return share / seconds if seconds > 0.0 else 0.0  # nan: nothing was measured
 
 
 def _us(seconds: float) -> str:
