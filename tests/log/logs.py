@@ -11,8 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from tsa_ctrl.cli import log_import, main
 from tsa_ctrl.log.mcap_file import McapFile, Note
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.reader import LogFile
@@ -69,6 +71,19 @@ def notes_of(log: LogFile) -> list[Note]:
     for _ in log.blocks(()):
         pass
     return log.notes
+
+
+def import_log(*line: str) -> int:
+    """Run `tsa log import` with these arguments. Return its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        main(["log", "import", *line])
+    return int(ended.value.code or 0)
+
+
+def understood(path: Path, *given: str, yes: bool = False, rate: float | None = None) -> log_import.Understood:
+    """Return the columns that `tsa log import` takes from a file, with options --column `given`."""
+    (done,), _ = log_import.understand_all([path], None, given, yes, rate)
+    return done
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:

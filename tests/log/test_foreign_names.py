@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
-from tsa_ctrl.log.foreign.names import Name, split_words
+from tsa_ctrl.log.foreign.names import Name
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable
 from tsa_ctrl.log.foreign.units import quantities_of, scale_of
 
@@ -95,35 +94,6 @@ def test_a_name_is_identified_by_its_words(source: str, column: str, unit: str |
     assert name.unit == unit
 
 
-@pytest.mark.parametrize(
-    ("source", "columns"),
-    [
-        ("joint motor torque", {"tau_m", "tau_j"}),
-        ("motor output torque [Nm]", {"tau_m", "tau_j"}),
-        ("joint1/motor/torque", {"tau_m", "tau_j"}),
-        ("motor angle velocity", {"q_m", "omega_m"}),
-        ("motor torque time", {"t", "tau_m"}),
-        ("last motor position", {"q_m", "q_j"}),
-    ],
-)
-def test_an_ambiguous_name_has_all_its_columns(source: str, columns: set[str]) -> None:
-    assert Name(source).columns == columns
-
-
-@pytest.mark.parametrize(
-    ("bare", "words"),
-    [
-        ("Antriebsdrehmoment", ["antrieb", "drehmoment"]),
-        ("lifetime", ["lifetime"]),
-        ("motorSpeedRPM", ["motor", "speed", "rpm"]),
-        ("i_q2", ["iq", "2"]),
-        ("set point", ["setpoint"]),
-    ],
-)
-def test_a_name_is_split_into_words(bare: str, words: list[str]) -> None:
-    assert split_words(bare) == words
-
-
 def table(names: Sequence[str], **cells: list[str]) -> ForeignTable:
     return ForeignTable(
         Path("x.csv"), NO_TEXT, tuple(names), {name: cells.get(name, ["0.5", "0.9", "1.4"]) for name in names}, 1, 0
@@ -168,14 +138,6 @@ def test_a_proposal_uses_the_unit_and_no_other_quantity(names: list[str], missin
 
 def test_a_row_number_is_not_proposed_as_time() -> None:
     assert mapping.propose(table(["sample"], sample=["0", "1", "2"]), "t", set()) == ""
-
-
-@pytest.mark.parametrize("source", ["i_q_m", "Motorstrom", "I_mot", "motor current"])
-def test_a_current_without_a_unit_is_no_torque(source: str) -> None:
-    found = mapping.identify(table([source]), {})
-    with pytest.raises(UsageError, match=r"give scale \(N\*m per A\)"):
-        mapping.resolve(table([source]), found.columns, "x")
-    assert mapping.without_unit(table([source]), []) == []
 
 
 def test_a_name_of_two_quantities_is_a_question_without_a_proposal() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tsa_ctrl.cli import main
+from tests.log.logs import import_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign.binary import in_child
 from tsa_ctrl.log.table import read_table
@@ -24,12 +24,6 @@ T = np.arange(N) * 0.01
 TORQUE = np.sin(20.0 * T)
 NAMED = {"time": T, "motor_torque": TORQUE}
 GIVEN = ("t=time|s", "tau_m=motor_torque|N*m")
-
-
-def run(*line: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["log", "import", *line])
-    return int(ended.value.code or 0)
 
 
 def mat5(folder: Path) -> Path:
@@ -270,7 +264,7 @@ def test_a_file_of_others_becomes_the_same_log(
     name: str, write: Callable[[Path], Path], given: tuple[str, str], tmp_path: Path
 ) -> None:
     path = write(tmp_path)
-    assert run(str(path), "--column", given[0], "--column", given[1], "--out", str(tmp_path / "out")) == 0
+    assert import_log(str(path), "--column", given[0], "--column", given[1], "--out", str(tmp_path / "out")) == 0
     found = read_table(tmp_path / "out/run.csv").columns
     np.testing.assert_allclose(found["t"], T, atol=1e-9)
     np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)
@@ -281,11 +275,11 @@ def test_without_a_header_all_questions_come_at_once_and_yes_takes_the_proposals
 ) -> None:
     np.savetxt(tmp_path / "run.csv", np.column_stack([TORQUE, T]), delimiter=",")
     line = (str(tmp_path / "run.csv"), "--out", str(tmp_path / "out"))
-    assert run(*line) == 2
+    assert import_log(*line) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "--yes accepts the proposals --column 't=column 2|s' --column 'tau_m=column 1|N*m'" in said
-    assert run(*line, "--yes") == 0
+    assert import_log(*line, "--yes") == 0
     found = read_table(tmp_path / "out/run.csv").columns
     np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)
 
@@ -297,7 +291,9 @@ def test_a_stated_shape_is_taken_where_none_can_be_determined(tmp_path: Path) ->
     table = '[table]\nencoding = "utf-8"\nseparator = "|"\ndecimal = "."\nheader = 1\n'
     columns = '[column.t]\nfrom = "t"\nunit = "s"\n[column.tau_m]\nfrom = "x"\nunit = "N*m"\n'
     (tmp_path / "map.toml").write_text(table + columns)
-    assert run(str(tmp_path / "run.txt"), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")) == 0
+    assert (
+        import_log(str(tmp_path / "run.txt"), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")) == 0
+    )
 
 
 def test_files_of_one_stem_are_kept_apart_and_nan_bursts_are_holes(tmp_path: Path) -> None:
@@ -308,7 +304,7 @@ def test_files_of_one_stem_are_kept_apart_and_nan_bursts_are_holes(tmp_path: Pat
             np.savez(tmp_path / name, t=T, tau_m=values)
         else:
             np.savetxt(tmp_path / name, np.column_stack([T, values]), delimiter=";", header="t;tau_m", comments="")
-    assert run(str(tmp_path / "run.npz"), str(tmp_path / "run.txt"), "--out", str(tmp_path / "out")) == 0
+    assert import_log(str(tmp_path / "run.npz"), str(tmp_path / "run.txt"), "--out", str(tmp_path / "out")) == 0
     for name, torque in (("run_npz", 1.0), ("run_txt", 2.0)):
         found = read_table(tmp_path / f"out/{name}.csv").columns
         np.testing.assert_allclose(found["t"], np.delete(T, range(20, 25)), atol=1e-12)
@@ -319,10 +315,10 @@ def test_a_missing_package_and_a_damaged_file_are_one_line_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "run.h5").write_bytes(b"no such thing")
-    assert run(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
+    assert import_log(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
     assert capsys.readouterr().err.count("\n") == 1
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    assert run(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
+    assert import_log(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
     said = capsys.readouterr().err
     assert "needs the package h5py; pip install '.[formats]'" in said
     assert said.count("\n") == 1
@@ -332,7 +328,7 @@ def test_a_missing_package_and_a_damaged_file_are_one_line_each(
 def test_a_folder_that_is_no_bag_is_one_line(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / f"runs{suffix}"
     folder.mkdir()
-    assert run(str(folder), "--out", str(tmp_path / "out")) == 2
+    assert import_log(str(folder), "--out", str(tmp_path / "out")) == 2
     said = capsys.readouterr().err
     assert f"is a folder, and not a ROS 2 bag; give the files in it, such as {folder}/*.csv" in said
     assert said.count("\n") == 1
@@ -345,7 +341,7 @@ def test_a_timetable_of_matlab_is_one_line_with_the_remedy(tmp_path: Path, capsy
         file["#subsystem#/MCOS"] = np.zeros((1, 3), dtype="u4")
     with (tmp_path / "run.mat").open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
-    assert run(str(tmp_path / "run.mat"), "--out", str(tmp_path / "out"), "--yes") == 2
+    assert import_log(str(tmp_path / "run.mat"), "--out", str(tmp_path / "out"), "--yes") == 2
     said = capsys.readouterr().err
     assert "has only objects that MATLAB alone can read (tt); export a timetable with writetimetable" in said
     assert said.count("\n") == 1

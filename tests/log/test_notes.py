@@ -117,13 +117,15 @@ def test_a_loop_that_is_killed_is_named_in_the_log_and_one_that_ends_in_order_is
     path = tmp_path / "x.mcap"
     kill_an_owner(path)
 
-    def noted() -> bool:
+    def complete() -> bool:
         try:
-            return notes_of(LogFile(path)) != []
+            file = LogFile(path)
         except (OSError, UsageError):  # the file or its header is missing
             return False
+        return notes_of(file) != [] and file.complete
 
-    assert wait_for(noted)
+    assert wait_for(complete)
     (note,) = notes_of(LogFile(path))
     assert (note.text, note.fault) == (DEAD, True)
     assert note.t == pytest.approx(0.699)
+    assert len(LogFile(path).columns("knee", ["t"])["t"]) == 700

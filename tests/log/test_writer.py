@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.log.logs import HEADER, kill_an_owner, notes_of, push, wait_for
+from tests.log.logs import HEADER, notes_of, push, wait_for
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
 from tsa_ctrl.log.process import LogLimits, LogProcess
@@ -176,22 +176,6 @@ def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, t
     file = LogFile(path)
     file.columns("hip", ["t"])
     assert file.complete is False
-
-
-def test_an_owner_killed_in_the_middle_leaves_a_complete_log(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    kill_an_owner(path)
-
-    def complete() -> bool:
-        try:
-            file = LogFile(path)
-        except (OSError, UsageError):
-            return False
-        file.columns("hip", ["t"])
-        return file.complete
-
-    assert wait_for(complete)
-    assert times(path) == list(range(700))
 
 
 def test_the_process_completes_the_file_and_leaves_the_end_to_its_owner(ring: RingWriter, tmp_path: Path) -> None:
