@@ -43,7 +43,7 @@ STAGE_WORDS = {
 @click.option(
     "--rate",
     type=Finite(50.0, 4000.0),
-    help="Rate of the loop, Hz.  [default: 1000, or 500 or 250 if this machine is too slow; --full 1000]",
+    help="Rate of the loop, Hz.  [default: 1000]",
 )
 @click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL; default: the best available.")
 @click.option("--virtual", is_flag=True, help="Run in virtual time: no bus, no special rights, faster than real time.")
@@ -124,7 +124,7 @@ def command(
     if as_json:
         click.echo(json.dumps(outcome.to_dict(), allow_nan=False))
     else:
-        _show(outcome, rate)
+        _show(outcome)
 
 
 def _given() -> set[str]:
@@ -220,10 +220,8 @@ def _folder(out: Path | None) -> Path:
     return out.resolve()
 
 
-def _show(outcome: Outcome, asked: float | None) -> None:
+def _show(outcome: Outcome) -> None:
     from rich.table import Table
-
-    from tsa_ctrl.demo.run import RATE
 
     data = outcome.to_dict()
     table = Table("joint torque", "RMS (N·m)", title=f"demo on {outcome.bus}", title_justify="left")
@@ -233,11 +231,6 @@ def _show(outcome: Outcome, asked: float | None) -> None:
     console = terminal()
     console.print(table)
     cycles = data["cycles"]
-    if asked is None and outcome.rate < RATE:
-        console.print(
-            f"at {outcome.rate:g} Hz: this machine, which also simulates drive and joint, cannot sustain {RATE:g} Hz",
-            soft_wrap=True,
-        )
     console.print(
         f"cycles: {cycles['planned']} planned, {cycles['sent']} sent, {cycles['late']} late, "
         f"{cycles['missed_pdo']} PDOs missed"

@@ -39,7 +39,7 @@ class Course:
         return float(np.sqrt(np.mean(np.square(self.error))))
 
     @property
-    def left_out(self) -> float:
+    def skipped(self) -> float:
         """Return the share of the cycles that the loop skipped, because the machine woke it too late."""
         cycles = self.summary["cycles"]
         return 1.0 - float(cycles["sent"]) / max(float(cycles["planned"]), 1.0)
