@@ -30,11 +30,6 @@ READERS = {
 }
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_the_shipped_files_are_known_by_their_tables(name: str) -> None:
-    assert settings.file_kind(settings.read_toml(CONFIG / name)) == KINDS[name]
-
-
 def test_a_file_without_an_end_is_one_error() -> None:
     with pytest.raises(UsageError, match=r"/dev/zero: is larger than 20 MB"):
         settings.read_toml("/dev/zero")
@@ -48,12 +43,6 @@ def test_another_kind_of_file_is_named_with_the_kind_that_is_wanted(given: str, 
         return
     with pytest.raises(UsageError, match=f"this is {KINDS[given]}; {KINDS[wanted]} is required here$"):
         READERS[wanted](CONFIG / given)
-
-
-def test_an_unknown_key_in_the_right_kind_of_file_is_still_told_with_the_nearest() -> None:
-    data = {**settings.read_toml(CONFIG / "plant.toml"), "phsics": {}}
-    with pytest.raises(UsageError, match="unknown key 'phsics'; did you mean 'physics'"):
-        settings.convert(data, type(load_plant(CONFIG / "plant.toml")), "x.toml")
 
 
 @pytest.mark.parametrize(

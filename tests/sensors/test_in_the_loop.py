@@ -45,8 +45,6 @@ def sensor(quantity: str, port: str, more: str = "") -> str:
         (sensor("t1", "/dev/a") + sensor("t1", "/dev/b"), False, "t1 already has a sensor"),
         (sensor("t1", "/dev/a") + sensor("t3", "/dev/a"), False, "already read by another sensor"),
         (sensor("t1", "/dev/a", "timeout = 0.001"), False, "shorter than the time between two values"),
-        (sensor("tau_m", "/dev/a"), False, "tau_m"),
-        (sensor("t1", "/dev/a", "baudrate = 9600"), False, "did you mean 'baud_rate'"),
     ],
 )
 def test_a_contradiction_is_said_before_anything_moves(
@@ -54,11 +52,6 @@ def test_a_contradiction_is_said_before_anything_moves(
 ) -> None:
     with pytest.raises(UsageError, match=said):
         load_configuration(controller(tmp_path, serial, can_sensor))
-
-
-def test_the_sensor_estimator_needs_a_torque_sensor_of_either_kind(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="serial sensor of tau_j"):
-        load_configuration(controller(tmp_path, sensor("t1", "/dev/a"), estimator="sensor"))
 
 
 def test_the_log_and_the_estimator_take_the_serial_values(tmp_path: Path) -> None:

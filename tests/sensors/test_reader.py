@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from tests.sensors.lines import PATIENCE, Line, wait_for
-from tsa_ctrl.sensors.process import NOTHING, LineState, Reading, SerialSensors, SerialSensorSettings, Slots
+from tests.system.test_parent import alive
+from tsa_ctrl.sensors.process import NOTHING, LineState, SerialSensors, SerialSensorSettings, Slots
 
 
 @pytest.fixture
@@ -110,14 +111,7 @@ def test_the_reader_ends_when_the_daemon_is_killed(line: Line) -> None:
     child = int(daemon.stdout.readline())
     daemon.send_signal(signal.SIGKILL)
     daemon.wait()
-    wait_for(lambda: not _runs(child))
-
-
-def _runs(pid: int) -> bool:
-    try:
-        return "Z" not in Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0]
-    except FileNotFoundError:
-        return False
+    wait_for(lambda: not alive(child))
 
 
 def test_a_new_slot_holds_nothing() -> None:
@@ -125,21 +119,3 @@ def test_a_new_slot_holds_nothing() -> None:
     assert math.isnan(slots.fresh(1, 0.0, 1.0))
     assert slots.read(1).state is NOTHING.state
     slots.close()
-
-
-def test_a_slot_is_read_whole_while_another_process_writes_it() -> None:
-    slots = Slots(1)
-    slots.write(0, Reading(0.0, 0.0, 0, 0, LineState.READING))
-    writer = os.fork()
-    if writer == 0:
-        for number in range(1, 10**9):
-            slots.write(0, Reading(float(number), float(number), number, number, LineState.READING))
-    try:
-        found = [reading for reading in (slots.read(0) for _ in range(20_000)) if reading.count]
-    finally:
-        os.kill(writer, signal.SIGKILL)
-        os.waitpid(writer, 0)
-        slots.close()
-    assert found[-1].count > found[0].count  # a value may be overwritten during reading, which gives no reading
-    for reading in found:
-        assert reading.value == reading.time == reading.count == reading.rejected

@@ -116,14 +116,3 @@ def test_no_worker_is_left_by_a_supervisor_that_is_killed_while_it_forks() -> No
         time.sleep(0.001 * number)
         process.kill()
         process.communicate(timeout=20)
-
-
-def test_worker_ends_with_its_supervisor(kept: Callable[[str], Kept]) -> None:
-    one = kept("time.sleep(60)")
-    _, _, worker = one.line()
-    one.process.kill()
-    one.process.wait()
-    end = time.monotonic() + 20.0
-    while alive(worker) and time.monotonic() < end:
-        time.sleep(0.01)
-    assert not alive(worker)

@@ -144,14 +144,6 @@ def test_the_rig_may_change_while_it_runs(tmp_path: Path, line: str, column: str
     assert truth[column][-1] / truth[column][0] == pytest.approx(factor)
 
 
-def test_a_push_moves_a_joint_that_can(tmp_path: Path) -> None:
-    still = controller(setpoint={"kind": "constant"})
-    pushed = [Fault("push value=3 duration=0.1", 0.6)]
-    truth = simulate_loop(*write(tmp_path, still, plant(joint={"load": "free"})), 1.0, faults=pushed).truth
-    assert truth["tau_outside"].max() == 3.0
-    assert truth["omega_j"].max() > 1.0
-
-
 @pytest.mark.parametrize(
     ("option", "text", "found"),
     [
