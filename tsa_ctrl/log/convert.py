@@ -11,14 +11,13 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.csv_table import connected, quoted, said
+from tsa_ctrl.log.csv_table import connected, opened, said
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.reader import LogFile
@@ -116,11 +115,6 @@ class Written:
     notes: tuple[str, ...]
 
 
-class _Sink(Protocol):
-    def write(self, block: NDArray[np.float64]) -> None: ...
-    def close(self) -> None: ...
-
-
 def convert(log: str | Path, out: Path, progress: Progress = lambda share: None) -> list[Written]:
     """Write every axis of `log`, and return the files: `out` itself for one axis, OUT_AXIS for several axes.
 
@@ -140,16 +134,27 @@ def convert(log: str | Path, out: Path, progress: Progress = lambda share: None)
     written: list[Written] = []
     total = sum(source.rows for source in sources)
     done = 0
+
+    def write_csv(rows: Path, source: _Source, compressed: bool = False) -> None:
+        nonlocal done
+        with contextlib.closing(CsvFile(rows, source.names, source.codes, compressed)) as table:
+            for block in source.blocks():
+                table.write(block)
+                done += len(block)
+                progress(done / total)
+
     for source in sources:
         path = _path(file, out, source.axis if len(sources) > 1 or _is_folder(out) else None)
         outputs.refuse_inputs(path, [file])
         with outputs.beside(path) as part:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with contextlib.closing(_open(path, part, source)) as sink:
-                for block in source.blocks():
-                    sink.write(block)
-                    done += len(block)
-                    progress(done / total)
+            if path.name.lower().endswith(".parquet"):
+                # by a file, because a log may be larger than the memory
+                with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+                    write_csv(Path(folder) / "rows.csv", source)
+                    _to_parquet(Path(folder) / "rows.csv", part, source)
+            else:
+                write_csv(part, source, compressed=path.name.lower().endswith(".gz"))
         written.append(Written(path, source.notes))
     return written
 
@@ -212,52 +217,21 @@ def _path(log: Path, out: Path, axis: str | None) -> Path:
     return out.with_name(f"{out.name[: -len(ending)]}_{axis}{out.name[-len(ending) :]}")
 
 
-def _open(path: Path, part: Path, source: _Source) -> _Sink:
-    if path.name.lower().endswith(".parquet"):
-        return _Parquet(part, source)
-    return CsvFile(part, source.names, source.codes, compressed=path.name.lower().endswith(".gz"))
+def _to_parquet(rows: Path, out: Path, source: _Source) -> None:
+    """Write a CSV file with the columns of the source as a Parquet file, with codes as text. Raise OSError."""
+    import duckdb
 
-
-class _Parquet:
-    """Write a Parquet file, with codes as text, from blocks collected in a database next to the file.
-
-    With the database, a log may be larger than the memory.
-    """
-
-    def __init__(self, path: Path, source: _Source) -> None:
-        self._path = path
-        self._source = source
-        self._ending = contextlib.ExitStack()
-        folder = self._ending.enter_context(tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-"))
-        self._connection = self._ending.enter_context(connected(Path(folder) / "rows.duckdb"))
-        kinds = (f"{quoted(name)} {'VARCHAR' if name in source.codes else 'DOUBLE'}" for name in source.names)
-        self._execute(f"CREATE TABLE rows ({', '.join(kinds)})")
-        chosen = (f'"{i}"' if self._is_code(i) else f"nullif(\"{i}\", 'nan')" for i in range(len(source.names)))
-        self._take = f"INSERT INTO rows SELECT {', '.join(chosen)} FROM block"
-
-    def write(self, block: NDArray[np.float64]) -> None:
-        self._connection.register("block", {str(i): self._column(i, values) for i, values in enumerate(block.T)})
-        self._execute(self._take)
-
-    def close(self) -> None:
-        with self._ending:
-            self._execute("COPY rows TO $file (FORMAT parquet, COMPRESSION zstd)", {"file": str(self._path)})
-
-    def _is_code(self, place: int) -> bool:
-        return self._source.names[place] in self._source.codes
-
-    def _column(self, place: int, values: NDArray[np.float64]) -> NDArray[Any]:
-        if self._is_code(place):
-            return np.array(coded(values, self._source.codes[self._source.names[place]]), dtype=object)
-        return np.ascontiguousarray(values)
-
-    def _execute(self, query: str, parameters: dict[str, str] | None = None) -> None:
-        import duckdb
-
-        try:
-            self._connection.execute(query, parameters)
-        except duckdb.Error as error:  # most likely a full disk
-            raise OSError(said(error)) from None
+    kinds = {name: "VARCHAR" if name in source.codes else "DOUBLE" for name in source.names}
+    options = "auto_detect = false, header = false, skip = 1, delim = ',', nullstr = ''"
+    try:
+        with connected() as connection, opened(rows) as name:
+            connection.execute(
+                f"COPY (SELECT * FROM read_csv('{name}', {options}, columns = $kinds)) TO $out "
+                "(FORMAT parquet, COMPRESSION zstd)",
+                {"kinds": kinds, "out": str(out)},
+            )
+    except duckdb.Error as error:  # most likely a full disk
+        raise OSError(said(error)) from None
 
 
 def write_last(log: Path, out: Path, seconds: float) -> float:

@@ -50,11 +50,11 @@ _NAME = re.compile(r"\s*(in|of|for)?( the)?( file)?:? *['\"]?/dev/fd/\d+['\"]?")
 
 
 @contextlib.contextmanager
-def connected(database: Path | None = None) -> Iterator[DuckDBPyConnection]:
-    """Open a connection to a new database, in memory or in the file `database`, and close it at the end."""
+def connected() -> Iterator[DuckDBPyConnection]:
+    """Open a connection to a new database in memory, and close it at the end."""
     import duckdb
 
-    with duckdb.connect(":memory:" if database is None else str(database), config=SETTINGS) as connection:
+    with duckdb.connect(":memory:", config=SETTINGS) as connection:
         yield connection
 
 
