@@ -64,7 +64,7 @@ ROOMS: dict[str, str] = {
     # daemon and plant in one process, in virtual time
     "virtual": (
         "arguments errors settings display outputs signals log bus.wire bus.drive.network bus.live monitor safety "
-        "control config ipc daemon plant"
+        "config ipc daemon plant"
     ),
     # user interfaces
     "published": "errors outputs",

@@ -420,6 +420,11 @@ def tuners_of(axes: Sequence[ControlAxis], period: float) -> tuple[Tuner, ...]:
     return tuple(Tuner(parameters_of(axis), period) for axis in axes)
 
 
+def ranges_of(tuner: Tuner) -> list[Range]:
+    """Return the live parameters of an axis for its clients."""
+    return [Range(p.name, p.unit, p.low, p.high, p.doc, p.restores, p.switch) for p in tuner.parameters]
+
+
 def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Description:
     """Return the description of the run for the socket server."""
     file, load = configuration.file, configuration.load
@@ -429,10 +434,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
         name=file.controller.name,
         period=configuration.period,
         axes=[axis.name for axis in file.axes],
-        parameters=[
-            [Range(p.name, p.unit, p.low, p.high, p.doc, p.restores, p.switch) for p in tuner.parameters]
-            for tuner in tuners
-        ],
+        parameters=[ranges_of(tuner) for tuner in tuners],
         codes=CODES,
         phases=[phase.name.lower() for phase in LoopPhase],
         set_point_limit=[

@@ -29,9 +29,9 @@ from tsa_ctrl.bus.wire.bus import BusFault, Counters, Frame
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.cycle import command
 from tsa_ctrl.control.settings import SetPointSettings
-from tsa_ctrl.daemon.build import control_axes, tuners_of
+from tsa_ctrl.daemon.build import control_axes, ranges_of, tuners_of
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.parameters import check_bounds
+from tsa_ctrl.ipc.parameters import parameter_number
 from tsa_ctrl.safety.supervisor import Phase, Request
 
 _WORDS = {state: value | FOLLOWS_COMMAND_BIT | VOLTAGE_ENABLED | REMOTE for _, value, state in STATUSWORD_PATTERNS}
@@ -154,19 +154,14 @@ class Controller:
         Raises:
             UsageError: the name is unknown, or the value is outside its bounds.
         """
-        names = [parameter.name for parameter in self._tuner.parameters]
-        if name not in names:
-            raise UsageError(f"no parameter '{name}'; available: {', '.join(names)}")
-        parameter = self._tuner.parameters[names.index(name)]
-        if parameter.low is None or parameter.high is None:
-            raise UsageError(f"'{name}' cannot be set on this axis: {parameter.doc}")
         value = number_of(value, name)
-        check_bounds(name, value, parameter.low, parameter.high, parameter.unit)
+        number = parameter_number(ranges_of(self._tuner), name, value)
+        parameter = self._tuner.parameters[number]
         if parameter.restores and value > parameter.value:  # repeated releases would disable the guard
             raise UsageError(
                 f"{name} {value:g} is above {parameter.value:g}; a disable and a new enable release the guard"
             )
-        self._tuner.set(names.index(name), value)
+        self._tuner.set(number, value)
 
     @listing_arguments
     def step(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
-from tsa_ctrl.ipc.protocol import Description
+from tsa_ctrl.ipc.protocol import Description, Range
 
 
 def change(
@@ -29,31 +30,49 @@ def change(
     Raises:
         UsageError: the parameter is unknown or cannot be changed to this value now.
     """
+    command, number = command_of(description, name, value)
+    index = command.axis
+    known = description.parameters[index][number]
+    general, axes = mailbox.status()
+    before = axes[index][1][number] if general.time > 0.0 else None  # unknown until the first cycle
+    if command.parameter == RELEASE:
+        _check_release(mailbox, index, owner, now)
+    elif known.restores and before is not None and value > before:
+        raise UsageError(
+            f"{known.name} {value:g} is above {before:g}; it can be lowered, or released by {known.high:g}"
+        )
+    answer = {"axis": description.axes[index], "name": known.name, "unit": known.unit}
+    return command, {**answer, "before": before, "value": value}
+
+
+def command_of(description: Description, name: str, value: float) -> tuple[Command, int]:
+    """Return the command of `tsa set NAME VALUE`, whatever the state of the loop, and the number of the parameter.
+
+    Raises:
+        UsageError: the axis or the parameter is unknown, or the value is out of its bounds.
+    """
     axis, dot, parameter = name.rpartition(".")
     if not dot and len(description.axes) > 1:
         raise UsageError(f"'{name}': give the axis: {', '.join(f'{axis}.{name}' for axis in description.axes)}")
     index = axis_index(description, axis) if dot else 0
-    ranges = description.parameters[index]
-    for number, known in enumerate(ranges):
-        if known.name == parameter:
-            if known.low is None or known.high is None:
-                raise UsageError(f"'{parameter}' cannot be set on this axis: {known.doc}")
-            check_bounds(parameter, value, known.low, known.high, known.unit)
-            general, axes = mailbox.status()
-            before = axes[index][1][number] if general.time > 0.0 else None  # unknown until the first cycle
-            answer = {"axis": description.axes[index], "name": parameter, "unit": known.unit}
-            release = known.restores and value == known.high
-            if release:
-                _check_release(mailbox, index, owner, now)
-            elif known.restores and before is not None and value > before:
-                raise UsageError(
-                    f"{parameter} {value:g} is above {before:g}; it can be lowered, or released by {known.high:g}"
-                )
-            return Command(index, RELEASE if release else number, value), {**answer, "before": before, "value": value}
+    number = parameter_number(description.parameters[index], parameter, value)
+    known = description.parameters[index][number]
+    release = known.restores and value == known.high
+    return Command(index, RELEASE if release else number, value), number
+
+
+def parameter_number(ranges: Sequence[Range], name: str, value: float) -> int:
+    """Return the number of a parameter of an axis; raise UsageError unless it can be changed to `value`."""
     names = [known.name for known in ranges]
-    near = difflib.get_close_matches(parameter, names, n=1)
-    advice = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(names)}"
-    raise UsageError(f"no parameter '{parameter}'; {advice}")
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(names)}"
+        raise UsageError(f"no parameter '{name}'; {advice}")
+    known = ranges[names.index(name)]
+    if known.low is None or known.high is None:
+        raise UsageError(f"'{name}' cannot be set on this axis: {known.doc}")
+    check_bounds(name, value, known.low, known.high, known.unit)
+    return names.index(name)
 
 
 def _check_release(mailbox: Mailbox, axis: int, owner: bool, now: float) -> None:

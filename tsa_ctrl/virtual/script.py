@@ -16,10 +16,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
-from tsa_ctrl.ipc.parameters import check_bounds
+from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.ipc.parameters import command_of
+from tsa_ctrl.ipc.protocol import Description
 from tsa_ctrl.log.mcap_file import RUN
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.plant.faults import FaultKind, nothing, parse_fault
@@ -119,31 +119,16 @@ def _clear(machine: Machine, now: float) -> None:
     machine.faults.clear(now)
 
 
-def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Change]) -> list[tuple[Command, float]]:
+def commands(description: Description, changes: Iterable[Change]) -> list[tuple[Command, float]]:
     """Return the commands for the mailbox with their times; raises UsageError as the socket's server does."""
     found = []
     for change in changes:
-        if change.name == RECOVERY:
-            if change.value != 1.0:
-                raise UsageError(f"{RECOVERY} {change.value:g}: only 1 is possible, it asks for a new start")
+        if change.name != RECOVERY:
+            found.append((command_of(description, change.name, change.value)[0], change.at))
+        elif change.value == 1.0:
             found.append((Command(0, RECOVER, 0.0), change.at))
-            continue
-        axis, dot, name = change.name.rpartition(".")
-        if not dot and len(axes) > 1:
-            raise UsageError(f"'{name}': name the axis: {', '.join(f'{axis}.{name}' for axis in axes)}")
-        if dot and axis not in axes:
-            raise UsageError(f"no axis '{axis}'; available: {', '.join(axes)}")
-        place = axes.index(axis) if dot else 0
-        parameters = tuners[place].parameters
-        number = next((n for n, parameter in enumerate(parameters) if parameter.name == name), None)
-        if number is None:
-            raise UsageError(f"no parameter '{name}'; available: {', '.join(p.name for p in parameters)}")
-        known = parameters[number]
-        if known.low is None or known.high is None:
-            raise UsageError(f"'{name}' cannot be set on this axis: {known.doc}")
-        check_bounds(name, change.value, known.low, known.high, known.unit)
-        release = known.restores and change.value == known.high
-        found.append((Command(place, RELEASE if release else number, change.value), change.at))
+        else:
+            raise UsageError(f"{RECOVERY} {change.value:g}: only 1 is possible, it asks for a new start")
     return found
 
 

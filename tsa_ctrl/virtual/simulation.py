@@ -18,7 +18,7 @@ from tsa_ctrl.arguments import listing_arguments, number_of, path_of, whole_of
 from tsa_ctrl.bus.drive.network import joined
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, ControllerFile, load_configuration
-from tsa_ctrl.daemon.build import control_axes, log_header, tuners_of
+from tsa_ctrl.daemon.build import control_axes, describe, log_header, tuners_of
 from tsa_ctrl.daemon.lifecycle import Lifecycle
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitor_process import REPEAT, Report
@@ -408,7 +408,7 @@ class Run:
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
         script = beginnings(self.machine, faults, self._wire)
-        settings = commands([axis.name for axis in self.axes], self._tuners, changes)
+        settings = commands(describe(self._configuration, self._tuners), changes)
         lifecycle = Lifecycle(self._configuration, self.rig, self.axes, self.loop, simulated=True)
         self.machine.start()
         self._every(EVERY, self._records.drain)
