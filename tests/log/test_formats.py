@@ -65,46 +65,53 @@ def controldesk(folder: Path) -> Path:
     return folder / "run.csv"
 
 
-def h5(folder: Path) -> Path:
-    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
-        for name, values in NAMED.items():
-            file[f"rig/{name}"] = values
-    return folder / "run.h5"
+def h5(content: Callable[[Any], None], name: str = "run.h5") -> Callable[[Path], Path]:
+    """Return the writer of an HDF5 file with this content."""
+
+    def write(folder: Path) -> Path:
+        with importlib.import_module("h5py").File(folder / name, "w") as file:
+            content(file)
+        return folder / name
+
+    return write
 
 
-def h5_matrix(folder: Path) -> Path:
+def signals(file: Any) -> None:
+    for name, values in NAMED.items():
+        file[f"rig/{name}"] = values
+
+
+def matrix(file: Any) -> None:
     """Write a matrix whose attributes have the names and units of its columns."""
-    with importlib.import_module("h5py").File(folder / "run.nc", "w") as file:
-        file["rig/data"] = np.column_stack([1e3 * T, 1e3 * TORQUE])
-        file["rig/data"].attrs["columns"] = ["time", "motor_torque"]
-        file["rig/data"].attrs["units"] = ["ms", "mNm"]
-    return folder / "run.nc"
+    file["rig/data"] = np.column_stack([1e3 * T, 1e3 * TORQUE])
+    file["rig/data"].attrs["columns"] = ["time", "motor_torque"]
+    file["rig/data"].attrs["units"] = ["ms", "mNm"]
 
 
-def h5_groups(folder: Path) -> Path:
+def groups(file: Any) -> None:
     """Write a group for each signal, with its unit as an attribute."""
-    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
-        for name, values, unit in (("time", T, "s"), ("motor_torque", 1e3 * TORQUE, "mNm")):
-            file[f"{name}/data"] = values
-            file[name].attrs["unit"] = unit
-    return folder / "run.h5"
+    for name, values, unit in (("time", T, "s"), ("motor_torque", 1e3 * TORQUE, "mNm")):
+        file[f"{name}/data"] = values
+        file[name].attrs["unit"] = unit
 
 
-def h5_pandas(folder: Path) -> Path:
+def pandas(file: Any) -> None:
     """Write the layout of pandas' fixed format: blocks of one type, with the names of their columns."""
-    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
-        for i, names in enumerate((["a", "b"], ["time", "motor_torque"])):
-            file[f"df/block{i}_items"] = np.array(names, dtype="S")
-            file[f"df/block{i}_values"] = np.column_stack([T, TORQUE]) * (1 if i else 7)
-    return folder / "run.h5"
+    for i, names in enumerate((["a", "b"], ["time", "motor_torque"])):
+        file[f"df/block{i}_items"] = np.array(names, dtype="S")
+        file[f"df/block{i}_values"] = np.column_stack([T, TORQUE]) * (1 if i else 7)
 
 
-def h5_rows(folder: Path) -> Path:
-    rows = np.empty(N, dtype=[("time", "f8"), ("pair", "f8", 2), ("motor_torque", "f8")])
-    rows["time"], rows["pair"], rows["motor_torque"] = T, 0.0, TORQUE
-    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
-        file["log"] = rows
-    return folder / "run.h5"
+def rows(file: Any) -> None:
+    table = np.empty(N, dtype=[("time", "f8"), ("pair", "f8", 2), ("motor_torque", "f8")])
+    table["time"], table["pair"], table["motor_torque"] = T, 0.0, TORQUE
+    file["log"] = table
+
+
+def loop(file: Any) -> None:
+    """Write a group with a link to itself. The file has the name of MATLAB's files, but not their header."""
+    signals(file)
+    file["rig/self"] = importlib.import_module("h5py").SoftLink("/rig")
 
 
 def mat_names(folder: Path) -> Path:
@@ -138,16 +145,6 @@ def json_indexed(folder: Path) -> Path:
     columns = {name: {str(i): value for i, value in enumerate(values.tolist())} for name, values in NAMED.items()}
     (folder / "run.json").write_text(json.dumps(columns))
     return folder / "run.json"
-
-
-def h5_as_mat(folder: Path) -> Path:
-    """Write HDF5 without the header of MATLAB, with a link to its own group."""
-    h5py = importlib.import_module("h5py")
-    with h5py.File(folder / "run.mat", "w") as file:
-        for name, values in NAMED.items():
-            file[f"rig/{name}"] = values
-        file["rig/self"] = h5py.SoftLink("/rig")
-    return folder / "run.mat"
 
 
 def text_as_workbook(folder: Path) -> Path:
@@ -243,13 +240,14 @@ CASES: list[tuple[str, Callable[[Path], Path], tuple[str, str]]] = [
     ("mat v5", mat5, GIVEN), ("mat v7.3", mat73, GIVEN),
     ("simulink", simulink, ("t=out.time|s", "tau_m=motor_torque|N*m")),
     ("dspace", dspace, GIVEN), ("controldesk", controldesk, ("t=time [s]|s", "tau_m=motor_torque [N*m]|N*m")),
-    ("h5", h5, ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")), ("npz", npz, GIVEN),
-    ("h5 matrix", h5_matrix, ("t=time [ms]|ms", "tau_m=motor_torque [mNm]|mN*m")),
-    ("h5 groups", h5_groups, ("t=time/data [s]|s", "tau_m=motor_torque/data [mNm]|mNm")),
-    ("h5 pandas", h5_pandas, GIVEN),
-    ("h5 rows", h5_rows, GIVEN), ("mat names", mat_names, GIVEN), ("json", json_rows, GIVEN),
+    ("h5", h5(signals), ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")), ("npz", npz, GIVEN),
+    ("h5 matrix", h5(matrix, "run.nc"), ("t=time [ms]|ms", "tau_m=motor_torque [mNm]|mN*m")),
+    ("h5 groups", h5(groups), ("t=time/data [s]|s", "tau_m=motor_torque/data [mNm]|mNm")),
+    ("h5 pandas", h5(pandas), GIVEN),
+    ("h5 rows", h5(rows), GIVEN), ("mat names", mat_names, GIVEN), ("json", json_rows, GIVEN),
     ("json nested", json_nested, ("t=samples.time|s", "tau_m=samples.motor_torque|N*m")),
-    ("json indexed", json_indexed, GIVEN), ("h5 as mat", h5_as_mat, ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")),
+    ("json indexed", json_indexed, GIVEN),
+    ("h5 as mat", h5(loop, "run.mat"), ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")),
     ("json lines", json_lines, GIVEN), ("text as workbook", text_as_workbook, GIVEN),
     ("npy", npy, ("t=column 1|s", "tau_m=column 2|N*m")), ("xlsx", xlsx, GIVEN),
     ("tdms", tdms, (RECORDED, GIVEN[1])), ("lvm", lvm, (RECORDED, GIVEN[1])), ("parquet", parquet, GIVEN),
