@@ -164,8 +164,7 @@ def _sources(log: str | Path) -> list[_Source]:
     if not file.exists() or kind_of(file) != ".mcap":
         return [_of_table(read_table(log))]
     contents = LogFile(file)
-    if axis is not None and axis not in contents.axes:
-        raise UsageError(f"{file}: has no axis '{axis}'; its axes are {', '.join(contents.axes)}")
+    axes = contents.chosen(axis)
     present: dict[str, NDArray[np.bool_]] = {}
     rows = dict.fromkeys(contents.axes, 0)
     for name, block in contents.blocks(contents.fields):
@@ -173,8 +172,7 @@ def _sources(log: str | Path) -> list[_Source]:
         rows[name] += len(block)
     if not present:
         raise UsageError(f"{file}: contains no records; record longer or give another log")
-    chosen = [name for name in contents.axes if name in present and axis in (None, name)]
-    return [_of_axis(contents, name, present[name], rows[name]) for name in chosen]
+    return [_of_axis(contents, name, present[name], rows[name]) for name in axes if name in present]
 
 
 def _of_axis(contents: LogFile, axis: str, present: NDArray[np.bool_], rows: int) -> _Source:

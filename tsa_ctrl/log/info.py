@@ -124,9 +124,7 @@ def inspect(path: str | Path) -> LogInfo:
         columns.add(table.columns.values())
         return LogInfo(str(path), sha256, [_axis_info(table, columns, 0.0, empty=True)], problems=_repairs(table))
     log = LogFile(file)
-    if axis is not None and axis not in log.axes:
-        raise UsageError(f"{file}: has no axis '{axis}'; its axes are {', '.join(log.axes)}")
-    found = {name: _Columns(log.fields, log.codes) for name in log.axes if axis in (None, name)}
+    found = {name: _Columns(log.fields, log.codes) for name in log.chosen(axis)}
     for name, block in log.blocks(log.fields):
         if name in found:
             found[name].add(block.T)

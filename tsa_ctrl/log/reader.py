@@ -112,6 +112,12 @@ class LogFile:
             problems.append(f"damaged chunks left out: {self.damaged}")
         return problems
 
+    def chosen(self, axis: str | None) -> list[str]:
+        """Return the name of one axis in a list, or all names for None. Raise UsageError for an unknown axis."""
+        if axis is not None and axis not in self.axes:
+            raise UsageError(f"{self.path}: has no axis '{axis}'; its axes are {', '.join(self.axes)}")
+        return self.axes if axis is None else [axis]
+
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Yield name and records (k, fields) of each axis in each chunk, with the fields in the order of `wanted`."""
         pick = [self.fields.index(name) for name in wanted]

@@ -199,6 +199,3 @@ class LogHealth:
         self.lost = ring.word(_Word.LOST)
         trouble = ring.word(_Word.TROUBLE)
         self.trouble = os.strerror(trouble) if trouble else ""
-
-    def __repr__(self) -> str:
-        return f"LogHealth({self.state.name}, written={self.written}, lost={self.lost}, trouble={self.trouble!r})"

@@ -127,12 +127,9 @@ def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> T
     from tsa_ctrl.log.reader import LogFile
 
     log = LogFile(path)
-    listed = ", ".join(log.axes)
-    if axis is None and len(log.axes) > 1:
-        raise UsageError(f"{path}: has the axes {listed}; select one, for example {path}:{log.axes[0]}")
-    if axis is not None and axis not in log.axes:
-        raise UsageError(f"{path}: has no axis '{axis}'; its axes are {listed}")
-    axis = axis or log.axes[0]
+    axis, *others = log.chosen(axis)
+    if others:
+        raise UsageError(f"{path}: has the axes {', '.join(log.axes)}; select one, for example {path}:{axis}")
     kept = [name for name in log.fields if wanted is None or name in wanted]
     columns = log.columns(axis, kept)
     if wanted is None or "q_j" in wanted:
