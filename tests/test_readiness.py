@@ -83,8 +83,6 @@ CELLS = [{"quantity": name, "port": f"/dev/{name}"} for name in ("t1", "t3")]
         ),
         ({"limits": {"travel": [-1.0, 1.5]}, "file": {"safety": {"travel": [-90.0, 90.0]}}}, ""),
         ({"limits": {"travel": [-15.0, 15.0]}, "file": {"safety": {"travel": None}}}, "travel 15 rad"),
-        ({"limits": {"torque": 100.0}, "drive": {"max_torque": 100.0}}, "torque 100 N*m (shipped is 40)"),
-        ({"file": {"safety": {"wearer_speed": 15.0}}}, "joint_speed 18.75 rad/s (shipped is 8.75)"),
         ({"file": {"realtime": {"allow_without": True}}}, "allow_without = true"),
     ],
 )

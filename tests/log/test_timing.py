@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.table import Table
-from tsa_ctrl.log.timing import check_increasing, fit_grid
+from tsa_ctrl.log.timing import fit_grid
 
 T = np.arange(500) * 1e-3
 
@@ -46,18 +44,3 @@ def test_a_short_skip_is_counted_and_a_hole_is_more_jitter_than_any_log_may_have
     grid = fit_grid(np.delete(T, range(100, 150)), longest_skip=0.02)
     assert grid.skipped == 0
     assert grid.jitter > 1.0
-
-
-@pytest.mark.parametrize("value", [0.049, 0.01])
-def test_time_that_does_not_increase_is_named_by_row(value: float) -> None:
-    t = T.copy()
-    t[50] = value
-    with pytest.raises(UsageError, match=r"x\.csv: column t, row 51 \(line 52\): time .* does not increase"):
-        check_increasing(Table("x.csv", {"t": t}, above=1), t)
-
-
-def test_time_that_is_no_number_is_named_by_row() -> None:
-    t = T.copy()
-    t[7] = np.nan
-    with pytest.raises(UsageError, match="column t, row 8: found no number"):
-        check_increasing(Table("x.parquet", {"t": t}), t)

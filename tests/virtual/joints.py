@@ -7,7 +7,6 @@ delay is the number of whole periods between a measurement and the resulting tor
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,23 +30,10 @@ def sine(amplitude: float, frequency: float) -> Tables:
     return {"kind": "sine", "amplitude": amplitude, "frequency": frequency}
 
 
-@dataclass(frozen=True)
-class Case:
-    """A load and its set-point."""
-
-    load: str
-    setpoint: Mapping[str, Any]
-    seconds: float = 4.0
-
-
-CASES: dict[str, Case] = {
-    "gait": Case("imposed", GAIT, 5.0),
-    "held": Case("held", sine(0.5, 0.5)),
-    "spring": Case("spring", sine(0.5, 0.5)),
-    "weight": Case("weight", sine(0.5, 0.5)),
-    "free": Case("free", sine(0.5, 0.5)),
-    "limb": Case("limb", sine(0.5, 0.5)),
-    "wearer": Case("wearer", sine(0.5, 0.5), 8.0),
+CASES: dict[str, tuple[str, Tables, float]] = {  # load, set-point and time in s
+    "gait": ("imposed", GAIT, 5.0),
+    **{load: (load, sine(0.5, 0.5), 4.0) for load in ("held", "spring", "weight", "free", "limb")},
+    "wearer": ("wearer", sine(0.5, 0.5), 8.0),
 }
 
 
@@ -136,8 +122,8 @@ def play(
 
 def play_case(folder: Path, name: str, seconds: float | None = None, **more: Any) -> Simulation:
     """Run one of `CASES`, or its first `seconds`."""
-    case = CASES[name]
-    return play(folder, case.load, case.setpoint, seconds or case.seconds, **more)
+    load, setpoint, whole = CASES[name]
+    return play(folder, load, setpoint, seconds or whole, **more)
 
 
 def error(result: Simulation, after: float = 1.0) -> NDArray[np.float64]:
