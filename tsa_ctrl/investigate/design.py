@@ -248,16 +248,12 @@ def _signals(motion: Motion, model: JointModel, like: Signals) -> Signals:
     """Return the predicted motion as a log with the columns of `like`, and with the other joints of the motion."""
     columns: dict[str, Array] = {"t": motion.t, "tau_m": motion.tau_m, "omega_j": motion.omega_j}
     gear = gear_of(model)
-    optional: Mapping[str, Callable[[], Array]] = {
-        "q_j": lambda: motion.q_j,
-        "q_m": lambda: gear * motion.q_j,
-        "omega_m": lambda: gear * motion.omega_j,
-        "theta": lambda: np.full_like(motion.t, float(np.mean(like.theta)) if like.theta is not None else math.nan),
-        "temperature": lambda: np.full_like(
-            motion.t, float(like.temperature[-1]) if like.temperature is not None else 0
-        ),
-    }
-    columns |= {name: make() for name, make in optional.items() if getattr(like, name) is not None}
+    moved = {"q_j": motion.q_j, "q_m": gear * motion.q_j, "omega_m": gear * motion.omega_j}
+    columns |= {name: values for name, values in moved.items() if getattr(like, name) is not None}
+    if like.theta is not None:
+        columns["theta"] = np.full_like(motion.t, float(np.mean(like.theta)))
+    if like.temperature is not None:
+        columns["temperature"] = np.full_like(motion.t, float(like.temperature[-1]))
     return Signals(**columns, joints=motion.joints)
 
 
