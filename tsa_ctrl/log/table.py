@@ -20,7 +20,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.csv_table import connected, doubles, opened, quoted, read_csv, said
 from tsa_ctrl.signals import is_selected
 
-_NUMERIC = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?\b|FLOAT|DOUBLE|DECIMAL")  # DuckDB's names of types
+_NUMERIC = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?|FLOAT|DOUBLE|DECIMAL\(.*\)")  # DuckDB's names of types
 
 ENDINGS = (".csv", ".csv.gz", ".parquet", ".mcap")
 
@@ -145,16 +145,16 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
 
     try:
         with connected() as connection, opened(path) as file:
-            elements = connection.execute(
-                f"SELECT name, coalesce(num_children, 0), duckdb_type FROM parquet_schema('{file}')"
-            ).fetchall()
-            kinds = [(name, kind or "nested") for name, kind in _top_level(elements)]
-            names = [name for name, _ in kinds]
-            twice = next((name for name in names if names.count(name) > 1), None)
+            twice = connection.execute(
+                f"SELECT path_in_schema FROM parquet_metadata('{file}') "
+                "GROUP BY path_in_schema, row_group_id HAVING count(*) > 1"
+            ).fetchone()
             if twice is not None:
-                raise UsageError(f"{path}: column {twice} appears twice; rename or remove one")
-            numeric = [name for name, kind in kinds if _NUMERIC.match(kind)]
-            for name, kind in kinds:
+                raise UsageError(f"{path}: column {twice[0]} appears twice; rename or remove one")
+            described = connection.execute(f"DESCRIBE SELECT * FROM read_parquet('{file}')").fetchall()
+            kinds = {name: kind for name, kind, *_ in described}
+            numeric = [name for name, kind in kinds.items() if _NUMERIC.fullmatch(kind)]
+            for name, kind in kinds.items():
                 if wanted is not None and is_selected(name, wanted) and name not in numeric:
                     raise UsageError(f"{path}: column {name} is {kind}, not a number; convert it")
             columns = {}
@@ -164,21 +164,8 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
                     columns[name] = doubles(connection.execute(query).fetchnumpy()["x"])
     except duckdb.Error as error:
         raise UsageError(f"{path}: is not a readable Parquet file ({said(error)}); export it again") from None
-    recorded = {"cycle", "state"} <= set(names)
-    return Table(str(path), columns, tuple(n for n in names if n not in columns), recorded=recorded)
-
-
-def _top_level(elements: list[tuple[str, int, str | None]]) -> list[tuple[str, str | None]]:
-    """Return name and type of the top-level columns of a Parquet schema.
-
-    `elements` has name, number of children and type of each element. An element comes before its children.
-    """
-    columns, deeper = [], 0
-    for name, children, kind in elements[1:]:
-        if deeper == 0:
-            columns.append((name, kind))
-        deeper = max(deeper - 1, 0) + children
-    return columns
+    recorded = {"cycle", "state"} <= kinds.keys()
+    return Table(str(path), columns, tuple(name for name in kinds if name not in columns), recorded=recorded)
 
 
 STOP_MARGIN = 0.05  # s before the end of a run that are left out, because the stop may have started
