@@ -33,12 +33,8 @@ class LineParser:
     """
 
     def __init__(self, settings: SerialSensorSettings) -> None:
+        self._settings = settings
         self._pattern = re.compile(settings.pattern)
-        self._unit = settings.unit
-        self._scale = settings.scale
-        self._offset = settings.offset
-        self._low = settings.low
-        self._high = settings.high
         self._rest = b""
         self._synchronised = False
         self.rejected = 0
@@ -76,14 +72,15 @@ class LineParser:
     def _value(self, line: bytes) -> float | None:
         if len(line) > MOST_LINE:
             return None
+        settings = self._settings
         match = self._pattern.search(line.decode("ascii", errors="replace"))
-        if match is None or (self._unit and match["unit"] != self._unit):
+        if match is None or (settings.unit and match["unit"] != settings.unit):
             return None
         try:
-            value = float(match["value"]) * self._scale + self._offset
+            value = float(match["value"]) * settings.scale + settings.offset
         except (TypeError, ValueError):
             return None
-        return value if math.isfinite(value) and self._low <= value <= self._high else None
+        return value if math.isfinite(value) and settings.low <= value <= settings.high else None
 
 
 RETRY = 0.5  # s between attempts to open a port
@@ -106,21 +103,18 @@ class SerialReader:
 
     def run(self) -> None:
         """Read until standard input is closed; reopen the port after each failure."""
-        while not parent_gone(0.0):
-            try:
-                port = serial.serial_for_url(self.settings.port, self.settings.baud_rate, timeout=0, write_timeout=TICK)
-            except (serial.SerialException, OSError, ValueError):
-                self.say(LineState.LOST)
-                if parent_gone(RETRY):
-                    return
-                continue
-            self.parser.reset()
-            with contextlib.suppress(serial.SerialException, OSError), port:
+        address, rate = self.settings.port, self.settings.baud_rate
+        wait = 0.0
+        while not parent_gone(wait):
+            with (
+                contextlib.suppress(serial.SerialException, OSError, ValueError),
+                serial.serial_for_url(address, rate, timeout=0, write_timeout=TICK) as port,
+            ):
+                self.parser.reset()
                 if self.listen(port):
                     return
             self.say(LineState.LOST)
-            if parent_gone(RETRY):
-                return
+            wait = RETRY
 
     def listen(self, port: serial.SerialBase) -> bool:
         """Read until the parent has ended, and then return True.
