@@ -1,4 +1,4 @@
-"""Test the EDS files of the plant with canopen, with the rules of CANopenEditor, and with the package's reader."""
+"""Test the EDS files of the plant with canopen and with the rules of CANopenEditor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from canopen.objectdictionary.eds import import_eds
 from click.testing import CliRunner
 
 from tests.plant.bench import plant_file
-from tsa_ctrl.bus.canopen.eds import read_eds
 from tsa_ctrl.cli import cli
 from tsa_ctrl.plant.process import eds_files
 
@@ -95,13 +94,6 @@ def _check_objects(parser: configparser.RawConfigParser, objects: list[int]) -> 
         for section in members or [f"{index:04X}"]:
             assert parser[section]["AccessType"] in ACCESSES
             assert {"ParameterName", "ObjectType", "DataType", "DefaultValue", "PDOMapping"} <= set(parser[section])
-
-
-@pytest.mark.parametrize("text", ["[[axis]]\nname = 'joint'\n", SEVERAL])
-def test_our_own_reader_has_nothing_to_mend(tmp_path: Path, text: str) -> None:
-    for path, content in eds_files(plant_file(tmp_path, text), tmp_path / "out.eds"):
-        path.write_text(content, encoding="latin-1")
-        assert read_eds(path)[1] == []
 
 
 def test_quirks_are_in_the_file(tmp_path: Path) -> None:

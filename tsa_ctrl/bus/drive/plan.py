@@ -11,6 +11,7 @@ from dataclasses import replace
 from tsa_ctrl.bus.canopen import objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, EMCY, SYNC
 from tsa_ctrl.bus.canopen.cia402 import TORQUE_PATH, Mode
+from tsa_ctrl.bus.canopen.eds import check_plan, read_eds
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
 from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
@@ -258,7 +259,4 @@ def check_against_eds(profile: DriveProfile, plan: Iterable[Write]) -> list[str]
     """Return notes on a plan from the EDS of the drive, if its profile has one; raise UsageError for contradictions."""
     if profile.eds is None:
         return []
-    from tsa_ctrl.bus.canopen.eds import check_plan, read_eds  # canopen is slow to import
-
-    dictionary, notes = read_eds(profile.eds)
-    return [*notes, *check_plan(dictionary, profile.eds, plan)]
+    return check_plan(read_eds(profile.eds), profile.eds, plan)

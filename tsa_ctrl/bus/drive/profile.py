@@ -18,6 +18,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.cia402 import OFFSETS
+from tsa_ctrl.bus.canopen.eds import read_eds
 from tsa_ctrl.bus.settings import MOST_SLOTS, DriveSettings, EncoderSettings, Patience, Positive, Word
 from tsa_ctrl.errors import UsageError
 
@@ -208,10 +209,8 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
         )
     if profile.eds is None:
         return profile
-    from tsa_ctrl.bus.canopen.eds import load_eds  # canopen is slow to import
-
     eds = path.parent / profile.eds
-    load_eds(eds)
+    read_eds(eds)
     return msgspec.structs.replace(profile, eds=str(eds))
 
 
