@@ -56,7 +56,7 @@ def one_axis_rig(responder: Responder | None = None, **drive: object) -> tuple[R
     """Return a started rig of one axis, its fake bus and the nodes that answer on it."""
     nodes = responder or Responder()
     bus = FakeBus(FakeClock(), nodes)
-    rig = Rig(bus, BusSettings(), [axis_nodes(**drive)], [DriveProfile()], bus.clock)
+    rig = Rig(bus, BusSettings(), [axis_nodes(**drive)], [DriveProfile()])
     rig.start()
     return rig, bus, nodes
 

@@ -108,7 +108,7 @@ class Machine:
         file = self.configuration.file
         self.drive = drive or Drive()
         self.bus = FakeBus(FakeClock(), self.drive)
-        self.rig = Rig(self.bus, file.bus, file.axes, self.configuration.profiles, self.bus.clock)
+        self.rig = Rig(self.bus, file.bus, file.axes, self.configuration.profiles)
         self.axes = control_axes(self.configuration, self.rig)
         self.axis = self.axes[0]
         tuners = tuners_of(self.axes, self.configuration.period)

@@ -22,12 +22,12 @@ OVER_CURRENT = struct.pack("<HBxxxxx", 0x2310, 0x02)
 
 def axis_of(nodes: AxisNodes, profile: DriveProfile | None = None, shared: dict[int, Inbox] | None = None) -> Axis:
     bus = FakeBus(FakeClock(), lambda frame: [])
-    return Axis(nodes, profile or DriveProfile(), bus, bus.clock, shared)
+    return Axis(nodes, profile or DriveProfile(), bus, shared)
 
 
 def test_before_it_is_known_whose_the_drive_is_nothing_is_sent() -> None:
     bus = FakeBus(FakeClock(), lambda frame: [])
-    axis = Axis(axis_nodes(), DriveProfile(), bus, bus.clock)
+    axis = Axis(axis_nodes(), DriveProfile(), bus)
     axis.tau_m_sent = 0.3
     assert axis.command(0x0F, 0.5) is True
     assert (bus.sent, axis.tau_m_sent, axis.refused) == ([], 0.0, 0)
@@ -79,7 +79,7 @@ def test_a_sensor_has_a_sign_and_a_zero() -> None:
     )  # fmt: skip
     responder = Responder()
     bus = FakeBus(FakeClock(), responder)
-    rig = Rig(bus, BusSettings(), [nodes], [DriveProfile()], bus.clock)
+    rig = Rig(bus, BusSettings(), [nodes], [DriveProfile()])
     rig.start()
     responder.sensor = 150_000
     cycle(rig, bus)
@@ -106,7 +106,7 @@ def test_an_encoder_of_two_axes_is_heard_once_and_told_to_both() -> None:
         AxisNodes(name=name, drive=DriveSettings(node_id=node), encoder=EncoderSettings(node_id=32))
         for node, name in ((1, "a"), (2, "b"))
     ]
-    rig = Rig(bus, BusSettings(), pair, [DriveProfile()] * 2, bus.clock)
+    rig = Rig(bus, BusSettings(), pair, [DriveProfile()] * 2)
     rig.start()
     cycle(rig, bus)
     assert [axis.image.q_j for axis in rig.axes] == [pytest.approx(0.5 * math.pi)] * 2

@@ -49,7 +49,7 @@ def lean_rig(phase: int = 0) -> tuple[Rig, FakeBus, Nodes]:
     axis = axis_nodes(pdo="lean")
     assert axis.torque_sensor is not None
     axis = replace(axis, torque_sensor=replace(axis.torque_sensor, every=2))
-    rig = Rig(bus, BusSettings(), [axis], [DriveProfile()], bus.clock)
+    rig = Rig(bus, BusSettings(), [axis], [DriveProfile()])
     rig.start()
     return rig, bus, nodes
 

@@ -193,7 +193,7 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
     An answer that arrives between the wake-up and the start of the cycle counts as late.
     """
     bus = FakeBus(FakeClock(), Responder())
-    rig = Rig(bus, BusSettings(), [axis_nodes()], [DriveProfile()], bus.clock, wake_early=2e-4)
+    rig = Rig(bus, BusSettings(), [axis_nodes()], [DriveProfile()], wake_early=2e-4)
     rig.start()
     start = bus.clock.now
     asked: list[float] = []
@@ -440,7 +440,7 @@ def test_axes_of_one_bus_do_not_mix() -> None:
     bus = FakeBus(FakeClock(), answer)
     first = AxisNodes(name="a", drive=DriveSettings(node_id=1), encoder=EncoderSettings(node_id=32))
     second = AxisNodes(name="b", drive=DriveSettings(node_id=2))
-    rig = Rig(bus, BusSettings(), [first, second], [DriveProfile()] * 2, bus.clock)
+    rig = Rig(bus, BusSettings(), [first, second], [DriveProfile()] * 2)
     rig.start()
     cycle(rig, bus)
     assert [axis.image.tau_m for axis in rig.axes] == [pytest.approx(0.1), pytest.approx(0.2)]

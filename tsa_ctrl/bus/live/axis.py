@@ -228,7 +228,6 @@ class Axis:
         nodes: AxisNodes,
         profile: DriveProfile,
         bus: Bus,
-        clock: Callable[[], float],
         shared: Mapping[int, Inbox] | None = None,
     ) -> None:
         self.name = nodes.name
@@ -283,7 +282,7 @@ class Axis:
         self.image = Image(tuple(guarded))
         by_guarding = profile.supervision == "guarding"
         self.guards = [
-            Guard(health, self.image, clock, by_guarding and health.role is Role.DRIVE) for health in guarded
+            Guard(health, self.image, bus.clock, by_guarding and health.role is Role.DRIVE) for health in guarded
         ]
 
         self._motor = PositionTracker(self.scale.position, _COUNTER_RANGE, 0, drive.velocity_cutoff)

@@ -42,7 +42,6 @@ class Rig:
         settings: settings of the bus.
         axes: nodes of each axis.
         profiles: drive profile of each axis, in the same order.
-        clock: monotonic time, s; default: the clock of the bus.
         wake_early: maximum time by which `wait` may wake up early, s.
 
     Attributes:
@@ -58,15 +57,13 @@ class Rig:
         settings: BusSettings,
         axes: Sequence[AxisNodes],
         profiles: Sequence[DriveProfile],
-        clock: Callable[[], float] | None = None,
         wake_early: float = 0.0,
     ) -> None:
-        clock = clock or bus.clock
         self.bus = bus
         self._answers: dict[int, Inbox] = {}  # by identifier: TPDOs
         made = []
         for nodes, profile in zip(axes, profiles, strict=True):
-            axis = Axis(nodes, profile, bus, clock, self._answers)
+            axis = Axis(nodes, profile, bus, self._answers)
             self._answers.update(zip(axis.tpdo_ids, axis.inboxes, strict=True))
             made.append(axis)
         self.axes = tuple(made)
@@ -78,7 +75,7 @@ class Rig:
             False
         )  # returns True while the monitor acts: its frames are then expected
         self.withholds_heartbeat = False  # for a trial of the drives' own watchdogs
-        self._clock = clock
+        self._clock = bus.clock
         self._settings = settings
         self._inboxes = tuple(inbox for inbox in self._answers.values() if inbox.every == 1)
         self._rare = tuple(inbox for inbox in self._answers.values() if inbox.every > 1)
