@@ -256,12 +256,7 @@ def _within_budget(file: ControllerFile) -> tuple[ControllerFile, tuple[Load, ..
     rate = file.controller.rate
     fitted = {axis.name: axis for bus in file.buses for axis in budget.fitted(bus, axes_of(bus, file.axes), rate)}
     file = msgspec.structs.replace(file, axes=tuple(fitted[axis.name] for axis in file.axes))
-    others = {bus.name: (bus, axes_of(bus, file.axes)) for bus in file.buses}
-    loads = []
-    for bus in file.buses:
-        rest = [other for name, other in others.items() if name != bus.name]
-        loads.append(budget.check(bus, axes_of(bus, file.axes), rate, rest))
-    return file, tuple(loads)
+    return file, tuple(budget.check(bus, axes_of(bus, file.axes), rate) for bus in file.buses)
 
 
 def _check_filled(path: Path, data: dict[str, Any], axes: list[dict[str, Any]]) -> None:

@@ -8,7 +8,7 @@ adds at most floor((33 + 8 n) / 4) bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -100,15 +100,9 @@ def lean(axes: Sequence[A]) -> tuple[A, ...]:
     return tuple(replace(axis, drive=replace(axis.drive, pdo="lean")) for axis in axes)
 
 
-Others = Sequence[tuple[BusSettings, Sequence[AxisNodes]]]  # further buses with their axes
-
-
-def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> list[str]:
-    """Return changes to the file after which `check` passes for this bus; each one is sufficient.
-
-    `others` are buses to which an axis may be moved.
-    """
-    found = list(_moves(settings, axes, rate, others))[:1]
+def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> list[str]:
+    """Return changes to the file after which `check` passes for this bus; each one is sufficient."""
+    found = []
     shorter, seldom = lean(axes), [_every_second(axis) for axis in axes]
     if fits(settings, seldom, rate):
         found.append("every = 2 in [axis.torque_sensor]")
@@ -129,29 +123,15 @@ def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, o
     return found
 
 
-def _moves(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others) -> Iterator[str]:
-    """Yield a remedy for each axis that fits on another bus, if its own bus can then carry the rest."""
-    for axis in axes:
-        rest = [each for each in axes if each is not axis]
-        for other, there in others:
-            if fits(settings, fitted(settings, rest, rate), rate) and fits(
-                other, fitted(other, [*there, axis], rate), rate
-            ):
-                yield f"bus = \"{other.name}\" in axis '{axis.name}'"
-
-
 def _every_second(axis: AxisNodes) -> AxisNodes:
     return axis if axis.torque_sensor is None else replace(axis, torque_sensor=replace(axis.torque_sensor, every=2))
 
 
-def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> Load:
-    """Return the load; raise UsageError with the figures if the bit rate is too low for `rate` (Hz).
-
-    `others` are buses to which an axis may be moved.
-    """
+def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
+    """Return the load; raise UsageError with the figures if the bit rate is too low for `rate` (Hz)."""
     result = load(settings, axes, rate)
     if result.worst > settings.max_load:
-        remedies = suggestions(settings, axes, rate, others) or ["fewer axes on this bus"]
+        remedies = suggestions(settings, axes, rate) or ["fewer axes on this bus"]
         raise UsageError(
             f"{settings.header} bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} "
             f"{'axis' if len(axes) == 1 else 'axes'} needs {100 * result.least:.0f} to {100 * result.worst:.0f} % of "
