@@ -34,22 +34,22 @@ class Command(Enum):
 _S = PowerState
 _C = Command
 
-TRANSITIONS: dict[tuple[PowerState, Command], tuple[int, PowerState]] = {
-    (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): (2, _S.READY_TO_SWITCH_ON),
-    (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): (3, _S.SWITCHED_ON),
-    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): (3, _S.SWITCHED_ON),  # then 4, with the same controlword
-    (_S.SWITCHED_ON, _C.ENABLE_OPERATION): (4, _S.OPERATION_ENABLED),
-    (_S.OPERATION_ENABLED, _C.SWITCH_ON): (5, _S.SWITCHED_ON),
-    (_S.SWITCHED_ON, _C.SHUTDOWN): (6, _S.READY_TO_SWITCH_ON),
-    (_S.READY_TO_SWITCH_ON, _C.QUICK_STOP): (7, _S.SWITCH_ON_DISABLED),
-    (_S.READY_TO_SWITCH_ON, _C.DISABLE_VOLTAGE): (7, _S.SWITCH_ON_DISABLED),
-    (_S.OPERATION_ENABLED, _C.SHUTDOWN): (8, _S.READY_TO_SWITCH_ON),
-    (_S.OPERATION_ENABLED, _C.DISABLE_VOLTAGE): (9, _S.SWITCH_ON_DISABLED),
-    (_S.SWITCHED_ON, _C.QUICK_STOP): (10, _S.SWITCH_ON_DISABLED),
-    (_S.SWITCHED_ON, _C.DISABLE_VOLTAGE): (10, _S.SWITCH_ON_DISABLED),
-    (_S.OPERATION_ENABLED, _C.QUICK_STOP): (11, _S.QUICK_STOP_ACTIVE),
-    (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): (12, _S.SWITCH_ON_DISABLED),
-    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): (16, _S.OPERATION_ENABLED),  # only if 0x605A >= 5
+TRANSITIONS: dict[tuple[PowerState, Command], PowerState] = {  # with the number of each transition
+    (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
+    (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
+    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 3 and 4, with the same controlword
+    (_S.SWITCHED_ON, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 4
+    (_S.OPERATION_ENABLED, _C.SWITCH_ON): _S.SWITCHED_ON,  # 5
+    (_S.SWITCHED_ON, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 6
+    (_S.READY_TO_SWITCH_ON, _C.QUICK_STOP): _S.SWITCH_ON_DISABLED,  # 7
+    (_S.READY_TO_SWITCH_ON, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 7
+    (_S.OPERATION_ENABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 8
+    (_S.OPERATION_ENABLED, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 9
+    (_S.SWITCHED_ON, _C.QUICK_STOP): _S.SWITCH_ON_DISABLED,  # 10
+    (_S.SWITCHED_ON, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 10
+    (_S.OPERATION_ENABLED, _C.QUICK_STOP): _S.QUICK_STOP_ACTIVE,  # 11
+    (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 12
+    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16, only if 0x605A >= 5
 }
 
 
@@ -64,17 +64,15 @@ def command_of(controlword: int) -> Command | None:
 
 
 class PowerStateMachine:
-    """Run the state machine on controlwords; `transition` is the number of the last transition."""
+    """Run the state machine on controlwords."""
 
     def __init__(self) -> None:
         self.state = PowerState.NOT_READY_TO_SWITCH_ON
-        self.transition = 0
         self._last_controlword = 0
 
     def power_on(self) -> None:
         """Take transitions 0 and 1, as after a passed self-test."""
         self.state = PowerState.SWITCH_ON_DISABLED
-        self.transition = 1
         self._last_controlword = 0
 
     def control(self, controlword: int, quick_stop_stays: bool, fault_gone: bool) -> None:
@@ -89,44 +87,29 @@ class PowerStateMachine:
         self._last_controlword = controlword
         if self.state is PowerState.FAULT:
             if edge and fault_gone:
-                self._take(15, PowerState.SWITCH_ON_DISABLED)
+                self.state = PowerState.SWITCH_ON_DISABLED
             return
         command = command_of(controlword)
         if command is None:
             return
-        found = TRANSITIONS.get((self.state, command))
-        if found is None or (found[0] == 16 and not quick_stop_stays):
-            return
-        self._take(*found)
-        if found[0] == 3 and command is Command.ENABLE_OPERATION:
-            self._take(4, PowerState.OPERATION_ENABLED)
+        if self.state is not PowerState.QUICK_STOP_ACTIVE or command is Command.DISABLE_VOLTAGE or quick_stop_stays:
+            self.state = TRANSITIONS.get((self.state, command), self.state)
 
     def fault(self) -> None:
         """Take transition 13, because an error occurred."""
         if self.state not in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
-            self._take(13, PowerState.FAULT_REACTION_ACTIVE)
+            self.state = PowerState.FAULT_REACTION_ACTIVE
 
     def reaction_done(self) -> None:
         """Take transition 14, because the fault reaction is complete."""
         if self.state is PowerState.FAULT_REACTION_ACTIVE:
-            self._take(14, PowerState.FAULT)
+            self.state = PowerState.FAULT
 
     def quick_stop(self) -> None:
         """Take transition 11 because of an option code, without a controlword."""
         if self.state is PowerState.OPERATION_ENABLED:
-            self._take(11, PowerState.QUICK_STOP_ACTIVE)
+            self.state = PowerState.QUICK_STOP_ACTIVE
 
     def voltage_off(self) -> None:
         """Take transition 7, 9, 10 or 12 without a controlword: quick stop complete, connection lost, or power off."""
-        numbers = {
-            PowerState.OPERATION_ENABLED: 9,
-            PowerState.SWITCHED_ON: 10,
-            PowerState.READY_TO_SWITCH_ON: 7,
-            PowerState.QUICK_STOP_ACTIVE: 12,
-        }
-        if self.state in numbers:
-            self._take(numbers[self.state], PowerState.SWITCH_ON_DISABLED)
-
-    def _take(self, number: int, state: PowerState) -> None:
-        self.transition = number
-        self.state = state
+        self.state = TRANSITIONS.get((self.state, Command.DISABLE_VOLTAGE), self.state)

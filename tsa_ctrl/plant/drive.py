@@ -74,15 +74,7 @@ class Drive:
         self, settings: DriveSettings, readings: Readings, command: MotorCommand, noise: random.Random
     ) -> None:
         self.emulation = emulation = DRIVE_EMULATIONS[settings.kind]
-        if emulation.vendor is not None and emulation.product is not None:
-            settings = msgspec.structs.replace(
-                settings, name=emulation.name, vendor=emulation.vendor, product=emulation.product
-            )
-        if emulation.rated_torque_unit is not None:
-            settings = msgspec.structs.replace(settings, rated_torque_unit=emulation.rated_torque_unit)
-        if emulation.guarded:
-            settings = msgspec.structs.replace(settings, node_guarding=True)
-        self.settings = settings
+        self.settings = settings = msgspec.structs.replace(settings, **emulation.settings)
         self._noise = noise
         self.readings = readings
         self.command = command
@@ -153,10 +145,10 @@ class Drive:
 
     # reactions
 
-    def fault(self, code: int, vendor: bytes = bytes(5)) -> None:
+    def fault(self, code: int) -> None:
         """Raise a drive error: EMCY, 0x603F, fault reaction."""
         self.values[0x603F, 0] = code
-        self.node.emergency(code, _ERROR_REGISTER_PROFILE, vendor)
+        self.node.emergency(code, _ERROR_REGISTER_PROFILE)
         self.machine.fault()
         self._obey()
 
@@ -338,7 +330,7 @@ class Drive:
             values[index, 0] = _reported(index, distorted(values[index, 0]))
 
     def _mode_shown(self) -> int:
-        when = self.emulation.mode_shows or self.settings.mode_shows
+        when = self.settings.mode_shows
         operational = self.node.state is NmtState.OPERATIONAL
         enabled = self.machine.state is PowerState.OPERATION_ENABLED
         shown = enabled if when == "enabled" else operational or when == "written"

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from tsa_ctrl.plant.dictionary import Access, Entry, Key, Type
 from tsa_ctrl.plant.pdo import INVALID, PdoDefault
@@ -58,21 +59,15 @@ class Clamp:
 class DriveEmulation:
     """Describe the deviations of one make of drive.
 
-    `vendor` and `product`: None keeps the values of the settings. `mode_shows` has the meaning of the quirk. `fixed`:
-    objects that accept only one value or a few. `added`: manufacturer-specific objects. `read_only`: objects that
-    cannot be written. `off_only`: objects that can be written only while the power stage is off. `clamp`: object that
-    limits the torque instead of 0x6072.
+    `settings`: keys of `[axis.drive]` that this make determines. `fixed`: objects that accept only one value or a few.
+    `added`: manufacturer-specific objects. `read_only`: objects that cannot be written. `off_only`: objects that can be
+    written only while the power stage is off. `clamp`: object that limits the torque instead of 0x6072.
     """
 
-    name: str
-    vendor: int | None = None
-    product: int | None = None
-    rated_torque_unit: float | None = None  # N*m per digit of 0x6076; None: value of the settings
+    settings: Mapping[str, Any] = field(default_factory=dict)
     velocity_digits: float | None = None  # digits of 0x606C per count/s; None: defined by 0x60A9
     torque_digits: float = 1000.0  # digits of 0x6071 and 0x6077 at rated torque
-    mode_shows: str | None = None  # None: value of the settings
     clamp: Clamp | None = None  # None: 0x6072
-    guarded: bool = False  # the quirk node_guarding
     absent: tuple[tuple[int, int | None], ...] = ()  # index and sub-index, None for all
     added: tuple[Entry, ...] = ()
     fixed: Mapping[Key, frozenset[int]] = field(default_factory=dict)
@@ -84,12 +79,8 @@ class DriveEmulation:
 _NO_TIMER = tuple((0x1400 + number, 5) for number in range(4))
 _NO_SYNC_SETTINGS = ((0x1007, None), (0x1019, None))
 
-_GENERIC = DriveEmulation("simulated drive")
 _EPOS4 = DriveEmulation(
-    "EPOS4",
-    vendor=0x000000FB,
-    product=0x69500000,
-    rated_torque_unit=1e-6,
+    {"name": "EPOS4", "vendor": 0x000000FB, "product": 0x69500000, "rated_torque_unit": 1e-6},
     clamp=Clamp(LIMIT, CURRENT),
     absent=((0x6072, None), *_NO_TIMER),
     added=(
@@ -107,10 +98,7 @@ _EPOS4 = DriveEmulation(
     off_only=frozenset({(0x60A9, 0)}),
 )
 _ELMO_GOLD = DriveEmulation(
-    "Gold drive",
-    vendor=0x0000009A,
-    product=0x00030924,
-    rated_torque_unit=1e-3,
+    {"name": "Gold drive", "vendor": 0x0000009A, "product": 0x00030924, "rated_torque_unit": 1e-3},
     velocity_digits=1.0,
     absent=((0x60A9, None), *_NO_TIMER, *_NO_SYNC_SETTINGS),
     fixed={(0x605E, 0): frozenset({0})},
@@ -118,13 +106,9 @@ _ELMO_GOLD = DriveEmulation(
 )
 
 _IPOS = DriveEmulation(
-    "iPOS",
-    vendor=0x000001A3,
-    product=27014101,
+    {"name": "iPOS", "vendor": 0x000001A3, "product": 27014101, "mode_shows": "enabled", "node_guarding": True},
     velocity_digits=65.536,
     torque_digits=16380.0,
-    mode_shows="enabled",
-    guarded=True,
     clamp=Clamp((0x207F, 0), 32767 - 16380, 32767),
     absent=(
         *((index, None) for index in (0x1016, 0x1029, 0x603F, 0x6072, 0x6076, 0x6080, 0x60A9)),
@@ -134,25 +118,20 @@ _IPOS = DriveEmulation(
     added=(Entry(0x207F, 0, Type.U16, Access.RW, 32767 - 2 * 16380),),
 )
 _KINCO = DriveEmulation(
-    "Kinco servo",
+    {"mode_shows": "enabled"},
     velocity_digits=16.384,
-    mode_shows="enabled",
     absent=((0x60A9, None), (0x6076, None)),
 )
 _NANOTEC = DriveEmulation(
-    "Nanotec",
     absent=((0x6076, None),),
     fixed={(0x60C2, 2): frozenset({-3})},
 )
 _COPLEY = DriveEmulation(
-    "Copley amplifier",
     velocity_digits=10.0,
     absent=((0x60A9, None),),
 )
 _INGENIA = DriveEmulation(
-    "EVE-XCR-C",
-    vendor=0x0000029C,
-    product=46342145,
+    {"name": "EVE-XCR-C", "vendor": 0x0000029C, "product": 46342145, "node_guarding": True},
     velocity_digits=1.0,
     clamp=Clamp((0x6073, 0), 1000),
     absent=(
@@ -160,12 +139,11 @@ _INGENIA = DriveEmulation(
         *_NO_SYNC_SETTINGS,
     ),
     added=(Entry(0x6073, 0, Type.U16, Access.RW, 40),),
-    guarded=True,
     defaults={(0x6502, 0): 0x301A5, (0x605A, 0): 5, (0x60C2, 2): 0},
 )
 
 DRIVE_EMULATIONS: Mapping[str, DriveEmulation] = {
-    "generic": _GENERIC,
+    "generic": DriveEmulation(),
     "epos4": _EPOS4,
     "elmo_gold": _ELMO_GOLD,
     "technosoft_ipos": _IPOS,
