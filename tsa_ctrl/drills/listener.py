@@ -349,7 +349,7 @@ class Listener:
         self._emcy: dict[int, int] = {}
         self._watches: dict[str, Watch] = {}  # by axis
         for index, (axis, profile) in enumerate(zip(configuration.file.axes, configuration.profiles, strict=True)):
-            self._watches[axis.name] = Watch(configuration, index, Axis(axis, profile, bus, clock))
+            self._watches[axis.name] = Watch(configuration, index, Axis(axis, profile, bus))
             settings = axis.drive
             scale = drive_scale(settings, profile, f"axis '{axis.name}'")
             rated = settings.rated_torque * settings.gear_ratio
