@@ -151,12 +151,6 @@ def test_read_only_objects_whose_value_does_as_well_are_forgiven(tmp_path: Path)
     ]
 
 
-def test_a_reaction_of_the_maker_that_cannot_be_changed_is_refused(tmp_path: Path) -> None:
-    """It is unknown whether the fault reaction -1 ends without torque."""
-    with refused("rejects 0x605E:0 fault reaction", 'write fault = "keep"'):
-        Foreign(tmp_path, "read_only = ['0x605E']", "objects = { '0x605E:0' = -1 }").start()
-
-
 def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
     """A drive that repeats the same answer to node guarding may have stopped working.
 
@@ -193,19 +187,6 @@ def test_an_extra_object_of_every_basic_type_is_written_and_read_back(
     (row,) = [row for node in report.nodes for row in node.rows if row.entry.index == 0x2100]
     shown = f"{value:g}" if name[0] == "f" else f"{int(value):#x}"
     assert str(row) == f"0x2100:3 mine: {'0' if name[0] == 'f' else '0x0'} -> {shown}"
-
-
-def test_what_the_start_waits_for_is_told(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path)
-    stages: list[str] = []
-    bring_up(foreign.wire.host, foreign.settings, [foreign.axis], [foreign.profile], PERIOD, tell=stages.append)
-    assert stages == [
-        "listening for another master on the bus",
-        "reading the identity of axis 'knee' drive node 1",
-        "waiting for the boot-up of axis 'knee' drive node 1, 3 s at most",
-        "configuring axis 'knee' drive node 1",
-        "waiting for axis 'knee' drive node 1 to become operational",
-    ]
 
 
 def test_a_fault_found_at_the_start_says_what_becomes_of_it(tmp_path: Path) -> None:

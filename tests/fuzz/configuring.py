@@ -5,20 +5,25 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, cast
 
-from tests.bus.local_nodes import bench
 from tests.bus.nodes import axis_nodes
+from tests.drives.rig import running
 from tests.fuzz.frames import any_frame, spoil
 from tests.fuzz.part import Holdings, Part
+from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive import bring_up as module
 from tsa_ctrl.bus.drive import checks, session
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.bus import Bus, Frame
+from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.errors import TsaError
 
+PLANT = "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\n"
 QUICK = (  # time-outs (s), short because the simulated nodes answer at once
     (session, "_LISTENING", 0.01),
     (module, "START_TIMEOUT", 0.3),
@@ -88,19 +93,20 @@ def quick() -> Iterator[None]:
 def run(attempts: int, seed: int) -> Part:
     """Try to bring one axis up this many times, with 0 to 20 % of the received frames corrupted."""
     part = Part("bring-up")
-    with quick(), part.quiet_threads():
+    with quick(), part.quiet_threads(), TemporaryDirectory() as folder:
+        plant = plant_file(Path(folder), PLANT)
         for number in range(attempts):
             draw = random.Random(seed * 1_000_000 + number)
-            _attempt(draw, part, number)
+            _attempt(plant, draw, part, number)
             if number <= attempts // 4:
                 part.before = Holdings.of()
     part.after = Holdings.of()
     return part
 
 
-def _attempt(draw: random.Random, part: Part, number: int) -> None:
-    with bench() as nodes:
-        bus = SpoiledBus(nodes.bus, draw, draw.choice((0.0, 0.003, 0.02, 0.2)), part)
+def _attempt(plant: Path, draw: random.Random, part: Part, number: int) -> None:
+    with running(plant) as (channel, _), closing(PythonCan("virtual", channel, 1_000_000)) as ours:
+        bus = SpoiledBus(ours, draw, draw.choice((0.0, 0.003, 0.02, 0.2)), part)
         with part.surviving(f"attempt {number}"):
             try:
                 module.bring_up(cast(Bus, bus), BusSettings(interface="virtual"), [axis_nodes()], [PATIENCE], 0.001)

@@ -25,14 +25,6 @@ def settled(bench: Bench, per_mille: int, controlword: int = 0x0F) -> tuple[int,
     return tpdo1(bench.sync())
 
 
-def test_the_walk_to_operation_enabled(bench: Bench) -> None:
-    words = [bench.statusword()]
-    for controlword in (0x06, 0x07, 0x0F):
-        bench.sync(2, bench.command(controlword))
-        words.append(bench.statusword())
-    assert words == [0x0250, 0x0231, 0x0233, 0x1237]
-
-
 def test_torque_is_per_mille_of_the_rated_torque(bench: Bench) -> None:
     bench.enable()
     assert settled(bench, 300)[1] == 300
@@ -61,11 +53,6 @@ def test_no_torque_without_the_mode(bench: Bench) -> None:
     bench.enable()
     status, torque, _ = settled(bench, 500)
     assert (status, torque) == (0x0237, 0)  # bit 12 low
-
-
-def test_only_one_mode_is_supported(bench: Bench) -> None:
-    assert bench.upload(1, 0x6502, 0, "I") == 1 << 9
-    assert bench.download(1, 0x6060, 0, "b", 8) == 0x06090030
 
 
 def test_max_torque_clamps_and_sets_the_internal_limit(bench: Bench) -> None:
@@ -151,13 +138,6 @@ def test_quick_stop_ends_disabled_when_the_torque_is_gone(bench: Bench) -> None:
     assert settled(bench, 500, 0x02)[:2] == (0x0250, 0)
 
 
-def test_quick_stop_that_stays_can_be_left(bench: Bench) -> None:
-    assert bench.download(1, 0x605A, 0, "h", 6) == 0
-    bench.enable(500)
-    assert settled(bench, 500, 0x02)[:2] == (0x0217, 0)
-    assert settled(bench, 500)[:2] == (0x1237, 500)
-
-
 def test_an_rpdo_that_stops_coming_is_a_fault(bench: Bench) -> None:
     bench.download(1, 0x1400, 5, "H", 20)
     bench.enable(500)
@@ -222,3 +202,15 @@ def test_gear_and_signs(tmp_path: Path) -> None:
     bench.enable()
     assert settled(bench, 400)[1] == 400
     assert bench.unit.axis.values()["tau_m"] == pytest.approx(-0.2)
+
+
+def test_only_one_mode_is_supported(bench: Bench) -> None:
+    assert bench.upload(1, 0x6502, 0, "I") == 1 << 9
+    assert bench.download(1, 0x6060, 0, "b", 8) == 0x06090030
+
+
+def test_quick_stop_that_stays_can_be_left(bench: Bench) -> None:
+    assert bench.download(1, 0x605A, 0, "h", 6) == 0
+    bench.enable(500)
+    assert settled(bench, 500, 0x02)[:2] == (0x0217, 0)
+    assert settled(bench, 500)[:2] == (0x1237, 500)

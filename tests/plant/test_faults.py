@@ -264,12 +264,6 @@ def test_a_distorted_value_saturates_as_in_a_drive(bench: Bench) -> None:
     assert bench.unit.drive.values[0x606C, 0] == 0x7FFFFFFF
 
 
-def test_the_temperature_of_the_torque_sensor_saturates(tmp_path: Path) -> None:
-    bench = Bench(tmp_path, STILL + "environment.temperature = [[0.0, 1e7]]\n")
-    bench.sync(2)
-    assert bench.upload(64, 0x9130, 2, "i") == 0x7FFFFFFF
-
-
 def test_a_fault_that_ends_leaves_the_others_in_force(bench: Bench) -> None:
     begin(bench, "encoder_jump value=0.5 duration=0.01")
     begin(bench, "encoder_jump value=0.2")

@@ -103,18 +103,6 @@ def test_a_torque_beyond_the_band_moves_the_joint(tmp_path: Path) -> None:
     assert values["omega_j"] == pytest.approx(drive / 0.2, rel=1e-3)
 
 
-def test_the_weight_pulls_as_a_pendulum(tmp_path: Path) -> None:
-    load = {"load": "weight", "weight_torque": 5.0, "weight_phase": 0.0, "initial_angle": 1.0, "damping": 0.3}
-    joint = axis(tmp_path, joint=load)
-    joint.parameters["friction"] = 0.0
-    joint.command.enabled = False
-    values = {}
-    for i in range(4000):
-        joint.advance((i + 1) * 1e-3)
-        values = joint.values()
-    assert values["q_j"] == pytest.approx(0.0, abs=1e-3)
-
-
 def test_halving_the_step_changes_little(tmp_path: Path) -> None:
     def final(step: float) -> float:
         joint = axis(tmp_path, step, joint={"load": "spring"}, motor={"inertia": 1e-4, "damping": 0.02})

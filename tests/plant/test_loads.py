@@ -41,24 +41,11 @@ def test_a_held_joint_stays_where_it_is(tmp_path: Path) -> None:
     assert np.all(course(held, 0.2, "q_j", "omega_j") == [0.4, 0.0])
 
 
-@pytest.mark.parametrize("load", ["limb", "wearer"])
-def test_a_limb_is_a_weight_of_a_limbs_size(tmp_path: Path, load: str) -> None:
-    record = axis(tmp_path, joint={"load": load}).parameters[0]
-    assert [record[name] for name in ("load_inertia", "load_damping", "weight")] == [0.05, 0.1, 4.0]
-
-
 def test_a_limb_swings_at_its_own_frequency(tmp_path: Path) -> None:
     limb = free_of_friction(tmp_path, load="limb", initial_angle=0.1)
     angle = course(limb, 2.0, "q_j")[:, 0]
     turns = np.flatnonzero((angle[:-1] > 0.0) & (angle[1:] <= 0.0))
     assert 1e-3 * np.diff(turns).mean() == pytest.approx(2.0 * math.pi * math.sqrt(0.05 / 4.0), rel=0.02)
-
-
-def test_a_hand_pulls_the_joint_to_where_it_is(tmp_path: Path) -> None:
-    held = free_of_friction(tmp_path, load="free", hand=HOLD, damping=0.0)
-    angle, torque = course(held, 2.0, "q_j", "tau_outside")[-1]
-    assert angle == pytest.approx(0.3, abs=1e-3)
-    assert torque == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_hand_carries_the_weight_that_it_holds(tmp_path: Path) -> None:

@@ -131,12 +131,6 @@ def test_an_event_driven_tpdo_comes_on_change(bench: Bench) -> None:
     assert bench.wait(0.005) == [(0x181, b"\x31\x02")]
 
 
-def test_an_event_timer_repeats_a_tpdo(bench: Bench) -> None:
-    bench.download(1, 0x1800, 5, "H", 20)
-    bench.send(0x000, b"\x01\x01")
-    assert len(bench.wait(0.2)) in (9, 10, 11)
-
-
 @pytest.mark.parametrize(("data", "emergency", "controlword"), [("0600", "1082", 0), ("060000000000", "2082", 6)])
 def test_an_rpdo_of_another_length_is_reported_and_used_only_if_longer(
     bench: Bench, data: str, emergency: str, controlword: int
@@ -150,3 +144,9 @@ def test_an_rpdo_of_another_length_is_reported_and_used_only_if_longer(
 def test_an_unknown_identifier_is_of_no_concern(bench: Bench) -> None:
     assert bench.send(0x333, bytes(8)) == []
     assert bench.send(0x20000004, bytes(8)) == []
+
+
+def test_an_event_timer_repeats_a_tpdo(bench: Bench) -> None:
+    bench.download(1, 0x1800, 5, "H", 20)
+    bench.send(0x000, b"\x01\x01")
+    assert len(bench.wait(0.2)) in (9, 10, 11)

@@ -5,19 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tsa_ctrl.bus.canopen import cia301
-from tsa_ctrl.bus.canopen.cia301 import Emcy, NmtCommand, NmtState
+from tsa_ctrl.bus.canopen.cia301 import Emcy, NmtState
 from tsa_ctrl.bus.wire.bus import describe
-
-
-def test_nmt_is_command_and_node() -> None:
-    sent = {command.name: cia301.nmt(command, 5).hex() for command in NmtCommand}
-    assert sent == {
-        "START": "0105",
-        "STOP": "0205",
-        "PRE_OPERATIONAL": "8005",
-        "RESET_NODE": "8105",
-        "RESET_COMMUNICATION": "8205",
-    }
 
 
 def test_heartbeat_is_one_byte_both_ways() -> None:
@@ -54,14 +43,6 @@ def test_emergency_reads_as_a_sentence() -> None:
 )
 def test_unlisted_code_is_named_by_its_class(code: int, meaning: str) -> None:
     assert cia301.text(code) == meaning
-
-
-def test_only_code_zero_is_an_error_reset() -> None:
-    assert [code for code in range(0x10000) if Emcy(code, 0, b"").is_reset] == [0]
-
-
-def test_every_error_code_has_a_text() -> None:
-    assert all(cia301.text(code) for code in range(0x10000))
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tsa_ctrl.bus.canopen.cia402 import (
-    CST_SUPPORTED,
-    INTERNAL_LIMIT,
-    REMOTE,
-    VOLTAGE_ENABLED,
     WALK,
-    WARNING,
     Controlword,
-    Mode,
     PowerState,
     decode,
     next_controlword,
@@ -77,20 +71,3 @@ def test_every_command_towards_off_switches_the_power_stage_off(state: PowerStat
 @pytest.mark.parametrize("state", [S.FAULT, S.FAULT_REACTION_ACTIVE, S.NOT_READY_TO_SWITCH_ON, S.UNKNOWN])
 def test_nothing_leaves_a_fault_or_an_unknown_state_by_itself(state: PowerState, target: PowerState) -> None:
     assert next_controlword(state, target) is Controlword.DISABLE_VOLTAGE
-
-
-def test_controlwords_are_those_of_the_standard() -> None:
-    assert {word.name: int(word) for word in Controlword} == {
-        "DISABLE_VOLTAGE": 0x00,
-        "QUICK_STOP": 0x02,
-        "SHUTDOWN": 0x06,
-        "SWITCH_ON": 0x07,
-        "ENABLE_OPERATION": 0x0F,
-        "FAULT_RESET": 0x80,
-    }
-
-
-def test_mode_and_bits_beside_the_state_are_those_of_the_standard() -> None:
-    """CiA 402-2 defines bit 4 voltage enabled, bit 7 warning, bit 9 remote and bit 11 internal limit active."""
-    assert (int(Mode.CYCLIC_SYNC_TORQUE), CST_SUPPORTED) == (10, 0x200)
-    assert [VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT] == [0x0010, 0x0080, 0x0200, 0x0800]

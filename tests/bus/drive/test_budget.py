@@ -7,7 +7,7 @@ import re
 import pytest
 from msgspec.structs import replace
 
-from tsa_ctrl.bus.drive.budget import check, fitted, frame_bits, load
+from tsa_ctrl.bus.drive.budget import check, fitted, load
 from tsa_ctrl.bus.drive.plan import interpolation_period
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, TorqueSensorSettings
 from tsa_ctrl.errors import UsageError
@@ -22,27 +22,12 @@ def axis(number: int, sensors: bool = True) -> AxisNodes:
     )
 
 
-@pytest.mark.parametrize(("length", "bits"), [(0, (47, 55)), (4, (79, 95)), (8, (111, 135))])
-def test_bits_of_a_frame(length: int, bits: tuple[int, int]) -> None:
-    assert frame_bits(length) == bits
-
-
 def test_cycle_of_one_axis() -> None:
     # SYNC, RPDO 4, TPDO1 8, TPDO2 7, encoder 4, torque sensor 4 bytes
     assert load(BusSettings(), [axis(0)], 1000.0).cycle_bits == (
         47 + 79 + 111 + 103 + 79 + 79,
         55 + 95 + 135 + 125 + 95 + 95,
     )
-
-
-def test_one_axis_at_1_khz_fits_1_mbit() -> None:
-    assert 0.4 < check(BusSettings(), [axis(0)], 1000.0).worst < 0.7
-
-
-@pytest.mark.parametrize(("bitrate", "rate"), [(500_000, 1000.0), (250_000, 500.0)])
-def test_rate_beyond_the_bit_rate_is_refused_with_figures(bitrate: int, rate: float) -> None:
-    with pytest.raises(UsageError, match=rf"bitrate {bitrate}: {rate:g} Hz .* needs \d+ to \d+ % .* at most \d+ Hz"):
-        check(BusSettings(bitrate=bitrate), [axis(0)], rate)
 
 
 def test_highest_rate_just_fits_and_the_next_does_not() -> None:

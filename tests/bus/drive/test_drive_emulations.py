@@ -38,17 +38,6 @@ def test_epos4_limits_by_current_and_takes_its_units_only_while_it_is_off(tmp_pa
     assert made.download(1, 0x60A9, 0, "I", 0x00B44700) == 0x08000022
 
 
-def test_elmo_reports_counts_per_second(tmp_path: Path) -> None:
-    made = bench(tmp_path, "elmo_gold")
-    assert made.download(1, 0x60A9, 0, "I", 0xFDB44700) == 0x06020000
-    assert made.download(1, 0x605E, 0, "h", 2) == 0x06090030
-    assert made.upload(1, 0x6502, 0, "I") == 0x3ED
-    drive = made.unit.drive
-    drive.readings.motor_speed = 6.283185307179586  # one revolution per second
-    drive.sample()
-    assert drive.values[0x606C, 0] == 65536
-
-
 def test_the_velocity_unit_written_is_the_one_reported(tmp_path: Path) -> None:
     made = bench(tmp_path, "generic")
     drive = made.unit.drive

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import msgspec
@@ -12,7 +11,7 @@ from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.checks import cure
 from tsa_ctrl.bus.drive.plan import drive_plan, interpolation_period
-from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, VelocityUnit, drive_scale, load_profile
+from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, drive_scale, load_profile
 from tsa_ctrl.bus.settings import BusSettings, DriveSettings
 from tsa_ctrl.errors import UsageError
 
@@ -65,10 +64,6 @@ def test_generic_file_says_what_is_assumed_without_one() -> None:
     assert msgspec.structs.replace(file, name=default.name, sources=[]) == default
 
 
-def test_generic_needs_no_file(tmp_path: Path) -> None:
-    assert load_profile("generic", tmp_path) == DriveProfile()
-
-
 def test_unknown_profile_is_answered_with_the_known_ones() -> None:
     with pytest.raises(UsageError, match=r"no such drive profile 'epos5'; available: copley, elmo_gold, "):
         load_profile("epos5", CONFIG)
@@ -102,13 +97,6 @@ def test_profile_with_a_mistake_is_one_line(tmp_path: Path, text: str, message: 
         load_profile("mine", tmp_path)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_velocity_units_and_their_codes() -> None:
-    digits = {"RPM": 60.0, "MILLI_RPM": 60e3, "COUNTS": 4096.0, "DECI_COUNTS": 40960.0}  # in one revolution per second
-    for name, number in digits.items():
-        assert VelocityUnit[name].radians_per_second(4096) == pytest.approx(2 * math.pi / number)
-    assert (VelocityUnit.MILLI_RPM.si_code, VelocityUnit.COUNTS.si_code) == (0xFDB44700, None)
 
 
 def test_clamps_never_exceed_what_is_configured() -> None:

@@ -160,12 +160,3 @@ def test_the_drives_are_asked_by_turns_what_they_heard_between_the_other_questio
     assert len(asked) - len(commands) == pytest.approx(50, abs=1)
     assert [each.readback.asked for each in drives] == pytest.approx([24, 24], abs=1)
     assert reader.altered == {}
-
-
-def test_questions_go_out_in_the_cycle_in_which_they_are_due() -> None:
-    node = Node()
-    for now in (0.0, 0.019, 0.02, 0.021, 0.04):
-        node.now = now
-        node.reader.update(now)
-        node.answer()
-    assert [now for now, _, _ in node.asked] == [0.0, 0.02, 0.04]

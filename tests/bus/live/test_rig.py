@@ -89,16 +89,6 @@ def test_command_is_the_nearest_digit_up_to_the_drives_limit(torque: float, limi
     assert axis.refused == 0
 
 
-def test_each_command_digit_is_reached_and_read_back() -> None:
-    rig, bus, nodes = one_axis_rig(max_torque=32.767)
-    axis = rig.axes[0]
-    for digits in range(-32767, 32768, 331):
-        axis.command(0x0F, digits * 1e-3)
-        nodes.torque = struct.unpack("<Hh", bus.sent[-1][1])[1]
-        cycle(rig, bus)
-        assert (nodes.torque, axis.image.tau_m) == (digits, pytest.approx(axis.tau_m_sent, abs=1e-12))
-
-
 def test_command_that_cannot_be_sent_says_so_and_counts() -> None:
     rig, bus, _ = one_axis_rig()
     axis = rig.axes[0]
@@ -172,19 +162,6 @@ def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
         cycle(rig, bus)
         assert rig.axes[0].image.fresh
     assert bus.bell == last[0]
-
-
-def test_a_frame_that_is_no_answer_is_never_listened_for() -> None:
-    """A heartbeat comes after the last answer in each batch, and the bus still waits for the last answer."""
-    rig, bus, nodes = one_axis_rig()
-    bus.answers = lambda timeout, most: []  # type: ignore[method-assign]
-    bus.recv = lambda timeout: None  # type: ignore[method-assign]
-    batch = [*nodes.frames(), (0x701, b"\x05")]
-    bus.gather = lambda until, most: batch if until > bus.clock.now else []  # type: ignore[method-assign]
-    for _ in range(20):
-        cycle(rig, bus)
-        assert rig.axes[0].image.fresh
-    assert bus.bell == nodes.frames()[-1][0]
 
 
 def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() -> None:
@@ -327,13 +304,6 @@ def test_any_frames_leave_a_usable_image(frames: list[tuple[int, bytes]]) -> Non
     assert image.misses <= 3
 
 
-def test_heartbeat_goes_out_at_its_period() -> None:
-    rig, bus, _ = one_axis_rig()
-    for number in range(100):
-        rig.heartbeat(100.0 + number * 1e-3)
-    assert bus.sent == [(0x77F, b"\x05")] * 5
-
-
 def test_overdue_heartbeat_names_the_node() -> None:
     rig, bus, _ = one_axis_rig()
     for _ in range(250):
@@ -401,30 +371,6 @@ def test_start_forgets_what_was_latched() -> None:
     cycle(rig, bus)
     image = rig.axes[0].image
     assert (image.events, image.nodes[0].boot_ups, image.emcy, image.intruder, image.missed) == (0, 0, None, None, 0)
-
-
-def test_wait_takes_what_comes_until_its_time() -> None:
-    rig, bus, _ = one_axis_rig()
-    cycle(rig, bus)
-    bus.waiting.extend([(0x701, b"\x05"), (0x181, struct.pack("<Hhi", 0x1637, 999, 0))])
-    until = bus.clock.now + 0.001
-    assert rig.wait(until) == pytest.approx(until)
-    image = rig.axes[0].image
-    assert (image.nodes[0].heard, image.nodes[0].repeated) == (pytest.approx(until), 1)
-
-
-def test_sync_right_after_wait_asks_the_bus_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, bus, _ = one_axis_rig()
-    rig.wait(bus.clock.now)
-    monkeypatch.setattr(bus, "recv", None)
-    monkeypatch.setattr(bus, "gather", None)
-    assert rig.sync()
-
-
-def test_wait_on_a_failed_bus_still_waits() -> None:
-    rig, bus, _ = one_axis_rig()
-    bus.fault = BusFault.INTERFACE_DOWN
-    assert rig.wait(bus.clock.now + 0.002) >= 100.002
 
 
 def test_axes_of_one_bus_do_not_mix() -> None:

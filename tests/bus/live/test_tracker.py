@@ -63,12 +63,3 @@ def test_two_samples_of_one_time_change_no_velocity() -> None:
     follower.update(0, 1.0)
     follower.update(100, 1.0)
     assert follower.velocity == 0.0
-
-
-def test_reset_forgets() -> None:
-    follower = tracker()
-    follower.update(0, 0.0)
-    follower.update(1000, 1e-3)
-    follower.reset()
-    follower.update(COUNTS, 2e-3)
-    assert (follower.angle, follower.velocity) == (pytest.approx(2.0 * math.pi), 0.0)

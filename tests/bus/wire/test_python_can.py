@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import os
 import select
-import socket
 import threading
-import time
-import tty
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 
 import can
 import pytest
@@ -99,14 +96,6 @@ def test_other_identifiers_are_kept_out(pair: list[PythonCan]) -> None:
     assert second.recv(0.0) is None
 
 
-def test_flush_throws_away_what_waits(pair: list[PythonCan]) -> None:
-    first, second = pair
-    for _ in range(5):
-        first.send(0x181, b"")
-    assert second.flush() == 5
-    assert second.recv(0.0) is None
-
-
 def test_error_frame_is_flagged() -> None:
     with can.Bus(interface="virtual", channel="test-errors") as other:
         bus = PythonCan("virtual", "test-errors", 1_000_000)
@@ -170,61 +159,6 @@ def test_session_sends_our_heartbeat_and_ends_with_one(pair: list[PythonCan]) ->
         frames.append(frame)
     assert set(frames) == {(0x77F, b"\x05")}
     assert len(frames) > 2
-
-
-@pytest.fixture
-def slcan() -> Iterator[tuple[int, str]]:
-    """Yield a serial line without an adapter: one end of a pseudo-terminal and the name of the other end."""
-    ours, theirs = os.openpty()
-    tty.setraw(ours)
-    tty.setraw(theirs)
-    yield ours, os.ttyname(theirs)
-    os.close(ours)
-    os.close(theirs)
-
-
-def read_until(descriptor: int, wanted: bytes, seconds: float = 5.0) -> bytes:
-    os.set_blocking(descriptor, False)
-    end, data = time.monotonic() + seconds, b""
-    while wanted not in data and time.monotonic() < end:
-        try:
-            data += os.read(descriptor, 4096)
-        except BlockingIOError:
-            time.sleep(0.001)
-    return data
-
-
-def test_slcan_speaks_the_adapters_language(slcan: tuple[int, str]) -> None:
-    ours, name = slcan
-    settings = BusSettings(interface="slcan", channel=name, bitrate=500_000, options={"sleep_after_open": 0.0})
-    with closing(open_bus(settings)) as bus:
-        assert bus.send(0x201, b"\x0f\x00\xfa\x00")
-        assert b"S6\r" in (sent := read_until(ours, b"t20140F00FA00\r"))  # S6: 500 kbit/s
-        assert b"t20140F00FA00\r" in sent
-        os.write(ours, b"t18180102030405060708\r")
-        assert bus.recv(5.0) == (0x181, b"\x01\x02\x03\x04\x05\x06\x07\x08")
-
-
-def served(connection: socket.socket) -> None:
-    """Serve one socketcand client and send one received frame back with the next identifier."""
-    connection.sendall(b"< hi >")
-    for _ in ("open", "rawmode"):
-        connection.recv(64)
-        connection.sendall(b"< ok >")
-    words = connection.recv(256).decode().split()
-    data = "".join(f"{int(word, 16):02X}" for word in words[4:-1])
-    connection.sendall(f"< frame {int(words[2], 16) + 1:X} 1.000000 {data} >".encode())
-
-
-def test_frames_pass_socketcand() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-        thread = threading.Thread(target=lambda: served(server.accept()[0]), daemon=True)
-        thread.start()
-        bus = PythonCan("socketcand", "can0", 1_000_000, {"host": "127.0.0.1", "port": port})
-        assert bus.send(0x180, b"\x01\x02")
-        assert bus.recv(5.0) == (0x181, b"\x01\x02")
-        bus.close()
 
 
 @pytest.mark.parametrize(
