@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
-import msgspec
+import tomlkit
 
 from tests.daemon.machine import CONFIG
+from tests.drives.rig import Recording
 from tests.drives.variations import Variation
 from tests.virtual.daemon import Daemon
-from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
+from tests.virtual.files import controller, plant, write
 from tsa_ctrl.config import Configuration, load_configuration
-from tsa_ctrl.control.settings import EstimatorSettings, SetPointSettings
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.plant.machine import AxisNodes, DriveNode, Machine
-from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
+from tsa_ctrl.plant.settings import FaultSettings, PlantSettings, load_plant
 from tsa_ctrl.safety.causes import REMEDIES
 from tsa_ctrl.safety.release import REST
-from tsa_ctrl.virtual.lockstep import End, Wire
 
 WANTED = 0.5  # N*m at the joint
 PULLS = 0.1  # N*m at the motor above which the drive counts as delivering torque
@@ -56,26 +56,13 @@ class Outcome:
         return self.started is not bool(self.variation.refused) and not self.wrong and expected in self.message
 
 
-class _Wire(Wire):
-    """A wire that records the host's frames."""
-
-    def __init__(self) -> None:
-        super().__init__(1_000_000)
-        self.sent: list[tuple[int, bytes]] = []
-
-    def send(self, sender: End, can_id: int, data: bytes) -> bool:
-        if sender is self.host:
-            self.sent.append((can_id, data))
-        return super().send(sender, can_id, data)
-
-
 class Station:
     """A plant with one deviating drive, on which the daemon's loop can be started several times."""
 
-    def __init__(self, variation: Variation) -> None:
-        self.configuration = _configuration(variation)
-        self.wire = _Wire()
-        self.machine = Machine(_plant(variation), self.wire.plant, self.wire.plant.clock)
+    def __init__(self, variation: Variation, folder: Path) -> None:
+        self.configuration = _configuration(variation, folder)
+        self.wire = Recording()
+        self.machine = Machine(_plant(variation, folder), self.wire.plant, self.wire.plant.clock)
         self.wire.attach(self.machine)
         self.machine.start()
         self.wire.pass_until(0.05)  # actions of the drive without a master happen before the start
@@ -138,54 +125,38 @@ class Station:
         self.machine.begin_fault(None, FaultSettings(name=fault, duration=duration), self.wire.now)
 
 
-def _configuration(variation: Variation) -> Configuration:
-    """Return the example's configuration for one axis without sensors, with the keys of the variation."""
-    base = load_configuration(CONFIG / "controller.toml")
-    replace = msgspec.structs.replace
-    file = base.file
-    axis = file.axes[0]
-    profile = (
-        load_profile(variation.kind, CONFIG) if variation.kind else msgspec.convert(variation.profile, DriveProfile)
-    )
-    drive = msgspec.convert(
-        {"node_id": 1, "max_torque": 3.0, "rpdo_timeout": 0.05, "profile": variation.kind or "mine", **variation.drive},
-        type(axis.drive),
-    )
-    axis = replace(
-        axis,
-        drive=drive,
+def _configuration(variation: Variation, folder: Path) -> Configuration:
+    """Return a controller of one axis without sensors, with the keys of the variation."""
+    shutil.copytree(CONFIG / "drives", folder / "drives", dirs_exist_ok=True)
+    (folder / "drives" / "mine.toml").write_text(tomlkit.dumps(variation.profile), encoding="utf-8")
+    tables = controller(
+        drive={"rpdo_timeout": 0.05, "profile": variation.kind or "mine", **variation.drive},
         encoder=None,
-        estimator=EstimatorSettings(kind="fixed", use=False),
         torque_sensor=None,
-        setpoint=SetPointSettings(kind="constant", offset=WANTED),
-        law=replace(axis.law, fade_in=0.05),
+        estimator={"kind": "fixed", "use": False},
+        setpoint={"kind": "constant", "offset": WANTED, "amplitude": None, "frequency": None},
+        law={"fade_in": 0.05},
+        limits={"torque": 1.9},
+        file={
+            "bus": {"supervision": variation.supervision},
+            "controller": {"rate": variation.rate, "settle_cycles": 10, "stop_time": 0.1},
+            "log": {"enabled": False},
+        },
     )
-    controller = replace(file.controller, rate=variation.rate, settle_cycles=10, stop_time=0.1)
-    supervision = msgspec.convert(variation.supervision, type(file.bus.supervision))
-    bus = replace(file.bus, supervision=supervision)
-    file = replace(file, axes=(axis,), controller=controller, bus=bus, log=replace(file.log, enabled=False))
-    return Configuration(base.path, file, base.text, base.models, (profile,), base.loads, base.estimators)
+    return load_configuration(write(folder, tables)[0])
 
 
-def _plant(variation: Variation) -> PlantSettings:
-    """Return the example's plant at standstill, with the drive of the variation and no sensors."""
-    plant = load_plant(CONFIG / "plant.toml")
-    replace = msgspec.structs.replace
-    axis = plant.axis[0]
-    keys: dict[str, Any] = {"node_id": 1, "torque_noise": 0.0, **variation.quirks}
-    axis = replace(
-        axis,
-        drive=msgspec.convert(keys, DriveSettings),
-        encoder=replace(axis.encoder, present=False),
-        torque_sensor=replace(axis.torque_sensor, present=False),
-        motion=replace(axis.motion, kind="still"),
-    )
-    return replace(plant, axis=[axis])
+def _plant(variation: Variation, folder: Path) -> PlantSettings:
+    """Return a plant at standstill, with the drive of the variation and no sensors."""
+    absent = {"present": False}
+    drive = {"torque_noise": 0.0, **variation.quirks}
+    tables = plant(drive=drive, encoder=absent, torque_sensor=absent, motion={"kind": "still"})
+    return load_plant(write(folder, plant_tables={**tables, "physics": {}})[1])
 
 
-def run_trial(variation: Variation) -> Outcome:
+def run_trial(variation: Variation, folder: Path) -> Outcome:
     """Run the whole sequence of a variation once and return its outcome."""
-    station = Station(variation)
+    station = Station(variation, folder)
     wrong: list[str] = []
     try:
         wrong += station.run(_story(station, wrong))
@@ -262,7 +233,7 @@ def _afterwards(station: Station) -> list[str]:
 
 def _commanded(station: Station) -> list[str]:
     """Return an error if RPDOs were sent although the start was rejected."""
-    rpdos = [data for can_id, data in station.wire.sent if can_id == 0x201]
+    rpdos = [data for _, can_id, data in station.wire.sent if can_id == 0x201]
     return ["RPDOs were sent"] if rpdos and not station.proved else []
 
 

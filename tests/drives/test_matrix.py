@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import pytest
 
@@ -21,8 +23,8 @@ LONG = (  # variations that take long
     "variation",
     [pytest.param(each, marks=[pytest.mark.soak] if each.name in LONG else [], id=each.name) for each in VARIATIONS],
 )
-def test_variation(variation: Variation) -> None:
-    outcome = run_trial(variation)
+def test_variation(tmp_path: Path, variation: Variation) -> None:
+    outcome = run_trial(variation, tmp_path)
     assert outcome.good, f"{'runs' if outcome.started else 'refused'}: {outcome.message} {list(outcome.wrong)}"
     assert "\n" not in outcome.message
 

@@ -127,9 +127,7 @@ def test_what_the_drive_said_is_in_the_message_of_the_proof(tmp_path: Path) -> N
         foreign.start(DriveProfile(absent=["SYNC counter"]))
 
 
-@pytest.mark.parametrize(
-    ("entry", "left", "ours"), [(1, 0x7F0400, 1), (2, 0x7F0400, 2), (4, 0x7F0400, 4), (1, 0x0503E8, 2)]
-)
+@pytest.mark.parametrize(("entry", "left", "ours"), [(1, 0x7F0400, 1), (4, 0x7F0400, 4), (1, 0x0503E8, 2)])
 def test_the_consumer_entry_of_our_id_is_used_and_that_of_another_node_is_left_alone(
     tmp_path: Path, entry: int, left: int, ours: int
 ) -> None:
@@ -168,10 +166,8 @@ def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
 
 
 VALUES = (  # type, value in the profile, bytes in the drive
-    ("bool", True, "01"), ("i24", -2, "feffff"), ("u24", 0xABCDEF, "efcdab"), ("i40", -1, "ffffffffff"),
-    ("u48", 1 << 47, "000000000080"), ("u56", 5, "05000000000000"), ("i64", -(1 << 63), "0000000000000080"),
-    ("u64", (1 << 64) - 1, "ffffffffffffffff"), ("f32", 0.1, "cdcccc3d"), ("f32", 2, "00000040"),
-    ("f64", -0.1, "9a9999999999b9bf"),
+    ("bool", True, "01"), ("i24", -2, "feffff"), ("u64", (1 << 64) - 1, "ffffffffffffffff"),
+    ("f32", 0.1, "cdcccc3d"), ("f64", -0.1, "9a9999999999b9bf"),
 )  # fmt: skip
 
 

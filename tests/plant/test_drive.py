@@ -175,10 +175,7 @@ def test_leaving_operational_while_enabled_takes_the_torque(bench: Bench) -> Non
     ("kind", "absent", "torque"),
     [
         ("generic", "0x6060", 0.0),
-        ("generic", "0x6071", 0.0),
-        ("generic", "0x1600", 0.0),
         ("generic", "0x1400, 0x6040", 0.0),
-        ("generic", "0x1A00", 0.3),
         ("epos4", "0x3001", 0.3),
     ],
 )

@@ -29,32 +29,25 @@ def test_the_example_is_valid() -> None:
     [
         ("", "axis"),
         ("[[axis]]\nname='a'\nspeed=1\n", "unknown key 'speed'"),
-        ("[[axis]]\nname='a'\n[axis.motion]\nkind='jump'\n", "kind"),
         ("[[axis]]\nname='a'\n[axis.motion]\nkind='file'\n", "without file"),
-        ("[[axis]]\nname='a'\njoint.load='spring'\n[axis.motion]\nkind='file'\n", "axis 'a': .* without file; give"),
-        ("[[axis]]\nname='a'\n[axis.motion]\nkind='file'\nfile='none.csv'\n", "no such file"),
         ("[[axis]]\nname='a'\n[[axis]]\nname='a'\n", "two axes"),
         ("[[axis]]\nname='a'\n[axis.encoder]\nnode_id=1\n", "already"),
         ("[[axis]]\nname='a'\nactuator='gone.toml'\n", "no such file"),
         ("[[axis]]\nname='a'\n[axis.effects.stribek_friction]\n", "did you mean 'stribeck_friction'"),
         ("[[axis]]\nname='a'\n[axis.tendon]\ncurvature=[[0.0,0.0],[0.5,0.2]]\n", "that never decrease"),
-        ("[[axis]]\nname='a'\n[[axis.fault]]\nname='torn'\n", "unknown fault"),
         ("[[axis]]\nname='a'\njoint.load='limb'\njoint.hand=[[1,1,1,0],[0.5,1,1,0]]\n", "hand: times must increase"),
         (
             "[[axis]]\nname='a'\njoint.load='held'\njoint.hand=[[0,1,1,0]]\n",
             'hand cannot move a joint with load "held".*choose a load that moves',
         ),
-        ("[[axis]]\nname='a'\njoint.load='limp'\n", "load: invalid enum value 'limp'; allowed are imposed, held"),
         (
             "[[axis]]\nname='a'\ndrive.absent=[0x6040]\n",
             "plant.toml: axis 'a': .* the PDO 0x1400 contains 0x6040 at power-on; remove it from absent",
         ),
-        ("[[axis]]\nname='a'\ndrive.absent=[0x6071]\ndrive.fixed_mapping=true\n", "0x1400 contains 0x6071"),
         (
             "[[axis]]\nname='a'\ndrive.objects={'0x6072:0'=70000}\n",
             "plant.toml: axis 'a': object 0x6072:0 is 70000 at power-on; allowed is 0 to 65535",
         ),
-        ("[[axis]]\nname='a'\ndrive.rated_torque_unit=1e-12\n", "object 0x6076:0 is 1000000000000 at power-on"),
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, text: str, said: str) -> None:

@@ -35,9 +35,7 @@ def test_emergency_reads_as_a_sentence() -> None:
         (0x0000, "error reset or no error"),
         (0x8250, "RPDO time-out"),
         (0x2311, "continuous over-current at the output"),  # the nearest listed code is 0x2310
-        (0x23F0, "current on the device's output side"),
         (0x2FFF, "current"),
-        (0xFF01, "device specific"),
         (0x0001, "error of the generic class"),
     ],
 )

