@@ -48,7 +48,7 @@ ROOMS: dict[str, str] = {
     # live control: torque from a set-point. Safety imports neither the control law nor the model.
     "safety": "errors bus.settings bus.wire bus.canopen bus.drive.session bus.live",
     "control": "errors log.table model observer bus.canopen bus.live safety",
-    "config": "arguments errors settings system sensors model bus.settings bus.drive safety control",
+    "config": "arguments errors settings system sensors model bus.settings bus.canopen.eds bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.law_design config",
     "ipc": "arguments errors system signals",
     "daemon": (

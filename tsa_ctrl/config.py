@@ -15,10 +15,11 @@ from msgspec import Meta
 
 from tsa_ctrl import settings
 from tsa_ctrl.arguments import path_of
+from tsa_ctrl.bus.canopen.eds import check_plan
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.budget import Load
 from tsa_ctrl.bus.drive.network import axes_of, check_buses, check_node_ids
-from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
+from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, drive_scale, load_profile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import routing_of
@@ -317,7 +318,7 @@ def check_drives(configuration: Configuration) -> None:
         for axis, profile in zip(file.axes, configuration.profiles, strict=True):
             scale = drive_scale(axis.drive, profile, f"axis '{axis.name}'")
             plan = drive_plan(axis, profile, scale, file.bus, configuration.period)
-            check_against_eds(profile, plan)
+            check_plan(profile.eds, plan)
     except UsageError as error:
         raise UsageError(f"{configuration.path}: {error}") from None
 

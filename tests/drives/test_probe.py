@@ -26,6 +26,14 @@ from tsa_ctrl.plant.dictionary import Access
 
 KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
 FINISH = {  # lines that a user completes in the profile: before, after
+    "epos4": {
+        "rated_torque = 1e-3 ": "rated_torque = 1e-6 ",
+        "# [torque_clamp]": "[torque_clamp]",
+        "# index": "index",
+        "# subindex": "subindex",
+        "# rated_index": "rated_index",
+        "# rated_subindex": "rated_subindex",
+    },
     "elmo_gold": {},
     "technosoft_ipos": {
         "torque = 1000.0 ": "torque = 16380.0 ",
@@ -90,11 +98,11 @@ def test_a_drive_says_most_of_what_a_profile_is_made_of(tmp_path: Path) -> None:
         "product_codes = [0x69500000]",
         "# Modes 0x00000200: cyclic torque",
         "# Watchdogs: 4 entries of the heartbeat consumer 0x1016; try them with tsa verify-safety.",
-        "rated_torque = 1e-06            # N*m per digit of 0x6076",
-        "index = 0x3001",
+        "rated_torque = 1e-3             # N*m per digit of 0x6076",
+        "# index = 0x3001",
         "#   node_id = 1",
         "#   serial_number = 1234",
-        "#   rated_torque = 1  # N*m, if the unit above is right",
+        "#   rated_torque = 1000  # N*m, if the unit above is right",
         "# RPDO1 now maps: 0x60400010",
     ):
         assert line in text.splitlines(), line

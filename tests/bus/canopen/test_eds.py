@@ -85,39 +85,37 @@ def test_a_slip_of_a_vendor_does_no_harm(tmp_path: Path, slip: str) -> None:
     old, new = SLIPS[slip]
     assert old in GOOD
     path = write(tmp_path, GOOD.replace(old, new))
-    assert check_plan(read_eds(path), path, [Write(MAX_TORQUE, 3000)]) == []
+    assert check_plan(path, [Write(MAX_TORQUE, 3000)]) == []
     with pytest.raises(UsageError, match=r"0 to 3000|at most 3000"):
-        check_plan(read_eds(path), path, [Write(MAX_TORQUE, 3001)])
+        check_plan(path, [Write(MAX_TORQUE, 3001)])
 
 
 def test_limits_of_a_signed_object_may_be_hexadecimal(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD + "[605E]\nDataType=0x0003\nAccessType=rw\nLowLimit=0xFFFE\nHighLimit=2\n")
-    assert check_plan(read_eds(path), path, [Write(FAULT_REACTION_OPTION, -2)]) == []
+    assert check_plan(path, [Write(FAULT_REACTION_OPTION, -2)]) == []
     with pytest.raises(UsageError, match="-2 to 2"):
-        check_plan(read_eds(path), path, [Write(FAULT_REACTION_OPTION, 3)])
+        check_plan(path, [Write(FAULT_REACTION_OPTION, 3)])
 
 
 def test_a_compact_array_describes_its_entries(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD + "[1016]\nDataType=0x0007\nAccessType=rw\nCompactSubObj=2\n")
-    assert check_plan(read_eds(path), path, [Write(HEARTBEAT_CONSUMER, 5)]) == []
+    assert check_plan(path, [Write(HEARTBEAT_CONSUMER, 5)]) == []
 
 
 def test_a_read_only_object_that_is_as_wanted_is_no_contradiction(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD.replace("AccessType=rw\n", "AccessType=const\nDefaultValue=1000\n"))
-    assert check_plan(read_eds(path), path, [Write(MAX_TORQUE, 1000)]) == [
-        "its EDS states that 0x6072:0 max torque cannot be written"
-    ]
+    assert check_plan(path, [Write(MAX_TORQUE, 1000)]) == ["its EDS states that 0x6072:0 max torque cannot be written"]
 
 
 def test_limits_of_nothing_are_no_limits(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD.replace("LowLimit=0", "LowLimit=5000"))
-    assert check_plan(read_eds(path), path, [Write(MAX_TORQUE, 1000)]) == []
+    assert check_plan(path, [Write(MAX_TORQUE, 1000)]) == []
 
 
 def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD)
     plan = [Write(MAX_TORQUE, 1000), Write(Object(0x6080, 0, Type.U32, "max motor speed"), 1)]
-    assert check_plan(read_eds(path), path, plan) == ["its EDS lacks 0x6080:0 max motor speed"]
+    assert check_plan(path, plan) == ["its EDS lacks 0x6080:0 max motor speed"]
 
 
 @pytest.mark.parametrize(
@@ -132,4 +130,4 @@ def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> 
 def test_plan_that_contradicts_the_eds_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = write(tmp_path, GOOD.replace(old, new, 1) if "DataType" not in old else GOOD.replace(old, new))
     with pytest.raises(UsageError, match=message):
-        check_plan(read_eds(path), path, [Write(MAX_TORQUE, 1000)])
+        check_plan(path, [Write(MAX_TORQUE, 1000)])

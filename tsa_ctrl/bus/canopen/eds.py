@@ -46,12 +46,19 @@ def read_eds(path: str | Path) -> Sections:
     return sections
 
 
-def check_plan(sections: Sections, path: str | Path, plan: Iterable[Write]) -> list[str]:
+def check_plan(path: str | Path | None, plan: Iterable[Write]) -> list[str]:
     """Compare the planned writes with the EDS (type, access, limits) and return notes on tolerated deviations.
 
+    Args:
+        path: EDS file; None without one, which has nothing to compare.
+        plan: writes in order.
+
     Raises:
-        UsageError: a write contradicts the EDS.
+        UsageError: the file cannot be read, or a write contradicts it.
     """
+    if path is None:
+        return []
+    sections = read_eds(path)
     notes: dict[str, None] = {}
     for write in plan:
         entry = write.entry

@@ -10,6 +10,18 @@ from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.objects import Object, Type
 
 PDO_OFFSET = 64  # between the PDOs of two axes of one device
+MAPPING_OFFSET = 0x200  # from the communication to the mapping parameters of a PDO
+_MOST = 0x200  # PDOs in each direction
+
+
+def communication_of(index: int) -> int | None:
+    """Return the index of a PDO's communication parameters for any index of its record; None for other objects."""
+    for first in (0x1400, 0x1800):  # RPDO, TPDO
+        if first <= index < first + _MOST:
+            return index
+        if first + MAPPING_OFFSET <= index < first + MAPPING_OFFSET + _MOST:
+            return index - MAPPING_OFFSET
+    return None
 
 
 class Transmission(IntEnum):

@@ -20,6 +20,7 @@ from tsa_ctrl.bus.canopen import cia402, objects
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
+from tsa_ctrl.bus.canopen.pdo import MAPPING_OFFSET, communication_of
 from tsa_ctrl.bus.drive.bring_up import write_all
 from tsa_ctrl.bus.drive.checks import Row
 from tsa_ctrl.bus.drive.profile import PER_MILLE, Index, NumberType, Subindex
@@ -27,9 +28,6 @@ from tsa_ctrl.bus.drive.session import RELEASED, Session
 from tsa_ctrl.bus.settings import NodeId, Word
 from tsa_ctrl.errors import BusError, UsageError
 
-_COMMUNICATION = (0x1400, 0x1800)  # first indices of the PDO communication parameters: RPDO, TPDO
-_MAPPING_OFFSET = 0x200
-_PDOS = 0x200  # maximum number in each direction
 _MAPPABLE = 8  # maximum number of objects in a PDO, because each takes at least one byte
 _COMMANDS = frozenset({objects.CONTROLWORD.key, objects.TARGET_TORQUE.key})
 
@@ -132,7 +130,7 @@ def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
     for write in plan:
         entries.setdefault(write.entry.key, write.entry)
         index, subindex = write.entry.key
-        communication = _communication_of(index)
+        communication = communication_of(index)
         if communication is not None and communication != index and subindex == 0:
             for number in range(1, _MAPPABLE + 1):
                 entry = Object(index, number, Type.U32, f"mapped object {number}")
@@ -153,7 +151,7 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
         if entry.key in _COMMANDS or subindex > mapped.get(index, subindex):
             continue
         value = session.read_if_readable(node_id, entry, unreadable)
-        if _communication_of(index) not in (None, index) and subindex == 0:
+        if communication_of(index) not in (None, index) and subindex == 0:
             mapped[index] = value or 0
         if value is not None:
             type_ = msgspec.convert(entry.type.name.lower(), NumberType)
@@ -216,11 +214,11 @@ def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
     for item in stored:
         if (item.index, item.subindex) in done:
             continue
-        communication = _communication_of(item.index)
+        communication = communication_of(item.index)
         if communication is None:
             plan.append(Write(item.entry, item.raw))
             continue
-        members = [key for key in values if key[0] in (communication, communication + _MAPPING_OFFSET)]
+        members = [key for key in values if key[0] in (communication, communication + MAPPING_OFFSET)]
         done.update(members)
         plan += _pdo_plan([values[key] for key in members], communication)
     return plan
@@ -262,19 +260,9 @@ def compare(
     return differences
 
 
-def _communication_of(index: int) -> int | None:
-    """Return the index of a PDO's communication parameters for any index of its record; None for other objects."""
-    for first in _COMMUNICATION:
-        if first <= index < first + _PDOS:
-            return index
-        if first + _MAPPING_OFFSET <= index < first + _MAPPING_OFFSET + _PDOS:
-            return index - _MAPPING_OFFSET
-    return None
-
-
 def _pdo_plan(members: Sequence[StoredObject], communication: int) -> list[Write]:
     """Return the writes of one PDO in order: disable, clear the mapping, map, count, other parameters, enable."""
-    mapping = communication + _MAPPING_OFFSET
+    mapping = communication + MAPPING_OFFSET
     cob_id = [item for item in members if (item.index, item.subindex) == (communication, 1)]
     count = [item for item in members if (item.index, item.subindex) == (mapping, 0)]
     used = count[0].raw if count else 0

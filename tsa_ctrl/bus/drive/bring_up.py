@@ -15,11 +15,13 @@ from fractions import Fraction
 
 from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, NmtCommand
+from tsa_ctrl.bus.canopen.eds import check_plan
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
-from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
+from tsa_ctrl.bus.canopen.pdo import MAPPING_OFFSET, PDO_OFFSET, Pdo, communication_of
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.checks import (
     COUNTED_RPDOS,
+    READ_ONLY,
     Node,
     NodeReport,
     Report,
@@ -37,17 +39,13 @@ from tsa_ctrl.bus.drive.checks import (
     switch_off,
 )
 from tsa_ctrl.bus.drive.network import axes_of, check_node_ids, layout_of
-from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan, encoder_plan, torque_sensor_plan
+from tsa_ctrl.bus.drive.plan import drive_plan, sensor_plan
 from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, drive_scale
 from tsa_ctrl.bus.drive.session import ABSENT, SdoRefusedError, Session, another_master, release_heartbeat
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role, TorqueSensorSettings
 from tsa_ctrl.bus.wire.bus import Bus, wire_of
 from tsa_ctrl.errors import BusError, StoppedError, TsaError, UsageError
 
-_READ_ONLY = frozenset({0x06010000, 0x06010002})  # abort codes
-_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
-_COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
-_MAPPING_OFFSET = 0x200
 _HIGHEST_NODE = 127  # largest node id
 
 Cure = Callable[[Object, int | None], str]
@@ -91,7 +89,7 @@ def write_all(
             if error.code in ABSENT and write.optional:
                 rows[entry.key] = Row(entry, None, None)
                 continue
-            if error.code in _READ_ONLY and before is not None and before in write.fine:
+            if error.code in READ_ONLY and before is not None and before in write.fine:
                 rows[entry.key] = Row(entry, before, before)
                 if notes is not None:
                     notes.append(f"{entry} cannot be written; its value {entry.shown(before)} is also sufficient")
@@ -114,13 +112,13 @@ def _settled(session: Session, node_id: int, plan: Sequence[Write], rows: dict[t
     last: dict[tuple[int, int], Write] = {write.entry.key: write for write in plan}
     settled: set[int] = set()
     for index in sorted({key[0] for key in last}):
-        if index == objects.EMCY_COB_ID.index or any(index in known for known in (*_MAPPINGS, *_COMMUNICATIONS)):
+        if index == objects.EMCY_COB_ID.index or communication_of(index) is not None:
             found = _as_wanted(session, node_id, [write for key, write in last.items() if key[0] == index])
             if found is not None:
                 settled.add(index)
                 rows.update({row.entry.key: row for row in found})
-    for index in [index for index in settled if any(index in known for known in _COMMUNICATIONS)]:
-        mapping = index + _MAPPING_OFFSET
+    for index in [index for index in settled if communication_of(index) == index]:
+        mapping = index + MAPPING_OFFSET
         if mapping in {key[0] for key in last} and mapping not in settled:
             settled.discard(index)  # the PDO must be disabled before its mapping can be changed
     return settled
@@ -342,7 +340,7 @@ def bring_up(
     nodes = list(_nodes(axes, profiles))
     plans = [_plan(node, settings, period) for node in nodes]
     notes = [
-        check_against_eds(node.profile, plan) if node.role is Role.DRIVE else []
+        check_plan(node.profile.eds, plan) if node.role is Role.DRIVE else []
         for node, plan in zip(nodes, plans, strict=True)
     ]
     with Session(bus, settings, stopped) as session:
@@ -387,10 +385,8 @@ def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:
     if node.role is Role.DRIVE:
         scale = drive_scale(node.axis.drive, node.profile, f"axis '{node.axis.name}'")
         return drive_plan(node.axis, node.profile, scale, settings, period)
-    if isinstance(node.settings, EncoderSettings):
-        return encoder_plan(node.settings, period)
-    assert isinstance(node.settings, TorqueSensorSettings)
-    return torque_sensor_plan(node.settings, period)
+    assert isinstance(node.settings, EncoderSettings | TorqueSensorSettings)
+    return sensor_plan(node.settings, period)
 
 
 def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:

@@ -10,27 +10,18 @@ from tsa_ctrl.bus.canopen import cia301, cia402, objects
 from tsa_ctrl.bus.canopen.cia301 import Profile
 from tsa_ctrl.bus.canopen.cia402 import OFFSETS, TORQUE_PATH, Controlword, Effect, Influence, Mode, PowerState
 from tsa_ctrl.bus.canopen.objects import SERIAL_NUMBER, Object, Write
-from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, drive_scale
-from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, SdoRefusedError, Session
+from tsa_ctrl.bus.drive.profile import PER_MILLE, REACTIONS, DriveProfile, drive_scale
+from tsa_ctrl.bus.drive.session import ABSENT, ANSWER_TIMEOUT, SdoRefusedError, Session
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
 # Remedies: the line to write, and its file, for each object that a node rejects.
 
-_NO_OBJECT = frozenset({0x06020000, 0x06090011})
-_READ_ONLY = frozenset({0x06010000, 0x06010002})
+READ_ONLY = frozenset({0x06010000, 0x06010002})
 _STATE = frozenset({0x08000022, 0x08000021, 0x08000020, 0x06060000})
 _NOT_MAPPABLE = frozenset({0x06040041, 0x06040042})
 COUNTED_RPDOS = 4  # limit of rpdo_count in a profile
 
-_REACTIONS = {
-    objects.QUICK_STOP_OPTION.key: "quick_stop",
-    objects.SHUTDOWN_OPTION.key: "shutdown",
-    objects.DISABLE_OPTION.key: "disable_operation",
-    objects.HALT_OPTION.key: "halt",
-    objects.FAULT_REACTION_OPTION.key: "fault",
-    objects.ERROR_BEHAVIOUR.key: "communication_error",
-}
 _SETTINGS = {  # key of the controller file that determines the value of an object
     objects.HEARTBEAT_PRODUCER.key: "heartbeat_period in [axis.drive]",
     objects.HEARTBEAT_CONSUMER.key: "host_timeout in [axis.drive]",
@@ -89,10 +80,11 @@ def _advice(entry: Object, node: DriveSettings, profile: DriveProfile, code: int
     key = entry.key
     if entry.index in range(0x1400, 0x1C00):
         return _of_a_pdo(entry, code)
-    if key in _REACTIONS:
-        return f'write {_REACTIONS[key]} = "keep", or a value that it accepts, under [reactions] in {{profile}}'
+    reaction = REACTIONS.get(entry)
+    if reaction is not None:
+        return f'write {reaction} = "keep", or a value that it accepts, under [reactions] in {{profile}}'
     special, setting = _SPECIAL.get(key), _SETTINGS.get(key)
-    if setting is not None and code not in _NO_OBJECT and code not in _READ_ONLY:
+    if setting is not None and code not in ABSENT and code not in READ_ONLY:
         return f"correct {setting}: the drive does not accept this value" + (
             "" if special is None else f"; or {special}"
         )
@@ -111,7 +103,7 @@ def _of_a_pdo(entry: Object, code: int | None) -> str:
     if entry.subindex == 5 and received:
         name = objects.RPDO_EVENT_TIMER.name
         return f'correct rpdo_timeout in [axis.drive], or write absent = ["{name}"] in {{profile}}'
-    if "mapped object" in entry.name and code in _NOT_MAPPABLE | _NO_OBJECT and not received and number == 2:
+    if "mapped object" in entry.name and code in _NOT_MAPPABLE | ABSENT and not received and number == 2:
         return (
             f'write absent = ["{objects.ERROR_CODE.name}"] in {{profile}} if it has no 0x603F; otherwise use other '
             "firmware: it cannot map the objects that this controller needs into one PDO"

@@ -5,23 +5,20 @@ Pure functions turn settings into a list of writes in order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 from tsa_ctrl.bus.canopen import objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, EMCY, SYNC
 from tsa_ctrl.bus.canopen.cia402 import TORQUE_PATH, Mode
-from tsa_ctrl.bus.canopen.eds import check_plan, read_eds
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
 from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
-from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, DriveScale
+from tsa_ctrl.bus.drive.profile import PER_MILLE, REACTIONS, DriveProfile, DriveScale
 from tsa_ctrl.bus.settings import (
     AxisNodes,
     BusSettings,
     DriveSettings,
     EncoderSettings,
-    NodeSettings,
     TorqueSensorSettings,
 )
 from tsa_ctrl.errors import UsageError
@@ -34,7 +31,7 @@ _MAX_EXPONENT, _MIN_EXPONENT = 0, -9
 # Equivalent values if a drive rejects ours: with each of them the drive ends without torque.
 _ENDS_WITHOUT_TORQUE = frozenset(range(5))  # 0x605A to 0x605E
 _REACTS = frozenset({1, 2, 3})  # 0x6007: fault, disable voltage, quick stop
-_LEAVES_OPERATIONAL = frozenset({0, 2})  # 0x1029: pre-operational, stopped
+_FINE = {objects.ERROR_BEHAVIOUR: frozenset({0, 2})}  # pre-operational, stopped
 _ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO, which has no effect; inhibit time of emergencies
 
 
@@ -48,15 +45,7 @@ def drive_plan(
     mantissa, exponent = interpolation_period(period)
     transmission = Transmission.EVERY_SYNC if settings.rpdo == "sync" else Transmission.ON_ARRIVAL
     layout = layout_of(drive, profile)
-    reactions = profile.reactions
-    options = (
-        (objects.ERROR_BEHAVIOUR, reactions.communication_error, _LEAVES_OPERATIONAL),
-        (objects.QUICK_STOP_OPTION, reactions.quick_stop, _ENDS_WITHOUT_TORQUE),
-        (objects.SHUTDOWN_OPTION, reactions.shutdown, _ENDS_WITHOUT_TORQUE),
-        (objects.DISABLE_OPTION, reactions.disable_operation, _ENDS_WITHOUT_TORQUE),
-        (objects.HALT_OPTION, reactions.halt, _ENDS_WITHOUT_TORQUE),
-        (objects.FAULT_REACTION_OPTION, reactions.fault, _ENDS_WITHOUT_TORQUE),
-    )
+    options = [(entry, getattr(profile.reactions, key)) for entry, key in REACTIONS.items()]
     si_code = profile.units.velocity.si_code
     connection_loss = _CONNECTION_LOSS[drive.connection_loss]
     timer = replace(objects.RPDO_EVENT_TIMER, index=layout.command.communication(5, Type.U16, "").index)
@@ -65,7 +54,11 @@ def drive_plan(
         *sync_writes(period, profile.needs_sync_period),
         *emcy_writes(drive.node_id),
         Write(objects.CONNECTION_LOSS, connection_loss, optional=True, fine=_REACTS),
-        *(Write(entry, value, optional=True, fine=fine) for entry, value, fine in options if value != "keep"),
+        *(
+            Write(entry, value, optional=True, fine=_FINE.get(entry, _ENDS_WITHOUT_TORQUE))
+            for entry, value in options
+            if value != "keep"
+        ),
         *pdo_writes(
             layout.command,
             layout.node_id,
@@ -160,17 +153,9 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write
     return Write(entry, value)
 
 
-def encoder_plan(encoder: EncoderSettings, period: float) -> list[Write]:
-    """Return the SDO writes that configure a joint encoder for a SYNC period, s."""
-    return _sensor_plan(encoder, pdo.ENCODER, period)
-
-
-def torque_sensor_plan(sensor: TorqueSensorSettings, period: float) -> list[Write]:
-    """Return the SDO writes that configure a torque sensor for a SYNC period, s."""
-    return _sensor_plan(sensor, torque_sensor_pdo(sensor), period)
-
-
-def _sensor_plan(node: NodeSettings, layout: Pdo, period: float) -> list[Write]:
+def sensor_plan(node: EncoderSettings | TorqueSensorSettings, period: float) -> list[Write]:
+    """Return the SDO writes that configure a sensor for a SYNC period, s."""
+    layout = pdo.ENCODER if isinstance(node, EncoderSettings) else torque_sensor_pdo(node)
     return [
         Write(objects.HEARTBEAT_PRODUCER, milliseconds(node.heartbeat_period)),
         *sync_writes(period),
@@ -253,10 +238,3 @@ def _check_timeouts(drive: DriveSettings, settings: BusSettings, period: float, 
             f"({settings.host_heartbeat_period:g} s each); set it to at least "
             f"{2.0 * settings.host_heartbeat_period:g} s"
         )
-
-
-def check_against_eds(profile: DriveProfile, plan: Iterable[Write]) -> list[str]:
-    """Return notes on a plan from the EDS of the drive, if its profile has one; raise UsageError for contradictions."""
-    if profile.eds is None:
-        return []
-    return check_plan(read_eds(profile.eds), profile.eds, plan)

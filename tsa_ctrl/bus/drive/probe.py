@@ -12,15 +12,13 @@ from dataclasses import dataclass, field, replace
 from tsa_ctrl.bus.canopen import cia301, cia402, objects
 from tsa_ctrl.bus.canopen.objects import Object, Type
 from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
-from tsa_ctrl.bus.drive.profile import VelocityUnit
+from tsa_ctrl.bus.drive.profile import REACTIONS, VelocityUnit
 from tsa_ctrl.bus.drive.session import Session, another_master
 from tsa_ctrl.errors import BusError
 
 _NAME = Object(0x1008, 0, Type.U32, "device name")
 _HARDWARE = Object(0x1009, 0, Type.U32, "hardware version")
 _SOFTWARE = Object(0x100A, 0, Type.U32, "software version")
-CURRENT_NOMINAL = Object(0x3001, 1, Type.U32, "nominal current")  # of an EPOS4 drive
-CURRENT_LIMIT = Object(0x3001, 2, Type.U32, "output current limit")
 
 READ: tuple[Object, ...] = (
     objects.DEVICE_TYPE, objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER,
@@ -32,8 +30,8 @@ READ: tuple[Object, ...] = (
     objects.MODE_DISPLAY, objects.POSITION_ACTUAL, objects.VELOCITY_ACTUAL, objects.TARGET_TORQUE, objects.MAX_TORQUE,
     objects.RATED_TORQUE, objects.TORQUE_ACTUAL, objects.MAX_MOTOR_SPEED, objects.ENCODER_INCREMENTS,
     objects.ENCODER_REVOLUTIONS, objects.GEAR_MOTOR, objects.GEAR_SHAFT, objects.VELOCITY_UNIT,
-    objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, CURRENT_NOMINAL,
-    CURRENT_LIMIT, *(influence.entry for influence in cia402.TORQUE_PATH if influence.entry != objects.RATED_TORQUE),
+    objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES,
+    *(influence.entry for influence in cia402.TORQUE_PATH if influence.entry != objects.RATED_TORQUE),
 )  # fmt: skip
 PATIENCE = 2.0  # s, for an answer: four times the limit of the bring-up, because nothing moves during a probe
 _SLOTS = 8
@@ -150,7 +148,6 @@ def _mapping(session: Session, found: Probe, pdo: Pdo) -> list[int]:
     return [entry for entry in entries if entry is not None]
 
 
-MAXON = 0x000000FB
 _ASK = "FINISH: "
 _MODES = (  # bits of 0x6502
     (0, "profile position"),
@@ -160,14 +157,6 @@ _MODES = (  # bits of 0x6502
     (7, "cyclic position"),
     (8, "cyclic velocity"),
     (9, "cyclic torque"),
-)
-_REACTIONS = (
-    (objects.QUICK_STOP_OPTION, "quick_stop"),
-    (objects.SHUTDOWN_OPTION, "shutdown"),
-    (objects.DISABLE_OPTION, "disable_operation"),
-    (objects.HALT_OPTION, "halt"),
-    (objects.FAULT_REACTION_OPTION, "fault"),
-    (objects.ERROR_BEHAVIOUR, "communication_error"),
 )
 _USUAL = range(5)  # a drive may reject a change from any other value
 _OPTIONAL = (
@@ -323,11 +312,10 @@ def _identity(found: Probe) -> Iterator[str]:
 def _units(found: Probe) -> Iterator[str]:
     yield "[units]"
     rated = found.get(objects.RATED_TORQUE)
-    unit = 1e-6 if found.get(objects.VENDOR_ID) == MAXON else 1e-3
     if rated is not None:
         yield f"# {_ASK}0x6076 is {rated}: {rated * 1e-3:g} N*m in the standard's mN*m, {rated * 1e-6:g} N*m in uN*m,"
         yield "# and some count the peak value: compare with the motor's data sheet."
-    yield f"rated_torque = {unit:g}            # N*m per digit of 0x6076"
+    yield "rated_torque = 1e-3             # N*m per digit of 0x6076"
     yield f"torque = 1000.0                 # {_ASK}digits of 0x6071 at rated torque, if it is not per mille"
     yield from _velocity(found)
     speed = found.get(objects.MAX_MOTOR_SPEED)
@@ -351,7 +339,7 @@ def _velocity(found: Probe) -> Iterator[str]:
 
 def _reactions(found: Probe) -> Iterator[str]:
     yield '[reactions]                      # 0: the motor coasts; "keep": unchanged; comments: values as found'
-    for entry, key in _REACTIONS:
+    for entry, key in REACTIONS.items():
         value = found.get(entry)
         if value is None:
             yield f'{key} = "keep"'.ljust(32) + "# the drive has no such object"
@@ -364,23 +352,15 @@ def _clamp(found: Probe) -> Iterator[str]:
     if found.has(objects.MAX_TORQUE):
         return
     yield ""
-    if found.get(objects.VENDOR_ID) == MAXON and found.has(CURRENT_LIMIT) and found.has(CURRENT_NOMINAL):
-        yield "[torque_clamp]                   # the drive lacks 0x6072: the output current limit, mA"
-        yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "output current limit", "")
-        return
     yield f"# {_ASK}the drive lacks 0x6072: give the object that limits the torque, and the one that holds its value at"
     yield "# rated torque (or the values: rated = ..., zero = ... at no torque); the file does not load without them."
     yield "# [torque_clamp]"
-    yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "name of this object", "# ")
-
-
-def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator[str]:
-    yield f"{mark}index = 0x{limit.index:04X}"
-    yield f"{mark}subindex = {limit.subindex}"
-    yield f"{mark}rated_index = 0x{rated.index:04X}"
-    yield f"{mark}rated_subindex = {rated.subindex}"
-    yield f'{mark}type = "u32"'
-    yield f'{mark}name = "{name}"'
+    yield "# index = 0x3001"
+    yield "# subindex = 2"
+    yield "# rated_index = 0x3001"
+    yield "# rated_subindex = 1"
+    yield '# type = "u32"'
+    yield '# name = "name of this object"'
 
 
 def _for_the_controller(found: Probe) -> Iterator[str]:
@@ -394,8 +374,7 @@ def _for_the_controller(found: Probe) -> Iterator[str]:
         yield f"#   serial_number = {serial}"
     rated, current = found.get(objects.RATED_TORQUE), found.get(objects.RATED_CURRENT)
     if rated is not None:
-        unit = 1e-6 if found.get(objects.VENDOR_ID) == MAXON else 1e-3
-        yield f"#   rated_torque = {rated * unit:g}  # N*m, if the unit above is right"
+        yield f"#   rated_torque = {rated * 1e-3:g}  # N*m, if the unit above is right"
     elif current is not None:
         yield f"#   rated_torque = ...  # N*m: torque constant times rated current, {current * 1e-3:g} A from 0x6075"
     increments, turns = found.get(objects.ENCODER_INCREMENTS), found.get(objects.ENCODER_REVOLUTIONS)

@@ -105,6 +105,16 @@ class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     communication_error: int | Keep = 0  # 0: pre-operational, 1: no change, 2: stopped
 
 
+REACTIONS = {  # object -> its key in [reactions]
+    objects.ERROR_BEHAVIOUR: "communication_error",
+    objects.QUICK_STOP_OPTION: "quick_stop",
+    objects.SHUTDOWN_OPTION: "shutdown",
+    objects.DISABLE_OPTION: "disable_operation",
+    objects.HALT_OPTION: "halt",
+    objects.FAULT_REACTION_OPTION: "fault",
+}
+
+
 class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """The object that limits the torque of a drive without 0x6072, and its value at rated torque.
 
