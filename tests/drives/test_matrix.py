@@ -9,7 +9,7 @@ import pytest
 
 from tests.drives.matrix import run_trial
 from tests.drives.variations import VARIATIONS, Variation
-from tsa_ctrl.plant.identity import Quirks
+from tsa_ctrl.plant.settings import Quirks
 
 LONG = (  # variations that take long
     "answers SDO after 0.4 s",  # the variation with 0.7 s always runs

@@ -19,7 +19,7 @@ from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.functions import SCALARS
-from tsa_ctrl.plant.identity import Quirks
+from tsa_ctrl.plant.settings import Quirks
 from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.signals import SIGNALS, Kind, Place
 

@@ -1,18 +1,20 @@
-"""Simulate communication services of a node (CiA 301): SYNC, heartbeat consumers, node guarding and EMCY.
+"""Simulate communication services of a node (CiA 301): SYNC, supervision, EMCY, identity and stored parameters.
 
 SYNC: COB-ID 0x1005, period 0x1006, window 0x1007, counter 0x1019. Supervision: 0x1016, 0x100C, 0x100D. EMCY: error
-register 0x1001, history 0x1003, COB-ID 0x1014, inhibit time 0x1015. The plant has its own definitions, so that it
-can check those of the controller."""
+register 0x1001, history 0x1003, COB-ID 0x1014, inhibit time 0x1015. Stored parameters: 0x1010, 0x1011.
+The plant has its own definitions, so that it can check those of the controller.
+"""
 
 from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
-from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, ObjectDictionary, SdoAbort, Type, is_restricted
+from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDictionary, SdoAbort, Type, is_restricted
+from tsa_ctrl.plant.settings import Quirks
 
 PRODUCES = 0x40000000  # bit 30 of 0x1005
 OWN_PERIOD = 10_000  # us, SYNC period of a node that produces SYNC at power-on
@@ -323,3 +325,83 @@ class ErrorLog:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         if not (before | value) & _INVALID and before != value:
             raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+SAVE = 0x65766173  # "save", least significant byte first
+LOAD = 0x64616F6C  # "load"
+_ON_COMMAND = 1  # value of both objects when read; bit 0: parameters are saved on command
+_PASSING: frozenset[Key] = frozenset({(0x1003, 0), (0x6040, 0), (0x6071, 0)})  # commands, which are not saved
+
+
+class Storage:
+    """Save and restore the parameters of one node (CiA 301: 0x1010 "save", 0x1011 "load").
+
+    `saves` is the number of saves since the plant's start, because each save wears the memory of a real node.
+    """
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self._dictionary = dictionary
+        self.saves = 0
+        dictionary.on_write[0x1010, 1] = self._save
+        dictionary.on_write[0x1011, 1] = self._load
+
+    def _save(self, value: int) -> None:
+        if value != SAVE:
+            raise SdoAbort(AbortCode.CANNOT_STORE)
+        dictionary = self._dictionary
+        self.saves += 1
+        for key, entry in dictionary.entries.items():
+            if entry.access is Access.RW and isinstance(entry.default, int) and key not in _PASSING:
+                dictionary.stored[key] = dictionary.values[key]
+        self._forget_commands()
+
+    def _load(self, value: int) -> None:
+        """Discard the saved parameters, so that the defaults apply from the next reset."""
+        if value != LOAD:
+            raise SdoAbort(AbortCode.CANNOT_STORE)
+        self._dictionary.stored.clear()
+        self._forget_commands()
+
+    def _forget_commands(self) -> None:
+        for place in (0x1010, 0x1011):
+            self._dictionary.stored.pop((place, 1), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Hold 0x1000, 0x1008 and 0x1018 of a node."""
+
+    device_type: int
+    name: str
+    vendor: int = 0x00000F0F
+    product: int = 0
+    revision: int = 0x00010000
+    serial: int = 1
+
+    @property
+    def numbers(self) -> tuple[int, int, int, int]:
+        """Return 0x1018:1 to :4."""
+        return self.vendor, self.product, self.revision, self.serial
+
+
+def communication_objects(identity: Identity, quirks: Quirks) -> Iterator[Entry]:
+    """Yield the entries 0x1000 to 0x1029 of a node, according to its identity and quirks."""
+    yield Entry(0x1000, 0, Type.U32, Access.CONST, identity.device_type)
+    yield from emcy_entries()
+    yield from sync_entries(quirks.sync_producer)
+    yield Entry(0x1008, 0, Type.TEXT, Access.CONST, identity.name)
+    yield Entry(0x1009, 0, Type.TEXT, Access.CONST, "simulated")
+    yield Entry(0x100A, 0, Type.TEXT, Access.CONST, "1")
+    for index in (0x1010, 0x1011):  # one group of parameters, which is saved on command
+        yield Entry(index, 0, Type.U8, Access.CONST, 1)
+        yield Entry(index, 1, Type.U32, Access.RW, _ON_COMMAND)
+    if quirks.node_guarding:
+        yield from Guarding.objects()
+    else:
+        yield from Consumers.objects(quirks.heartbeat_consumers)
+        yield Entry(0x1017, 0, Type.U16)
+    yield Entry(0x1018, 0, Type.U8, Access.CONST, 4)
+    for sub, value in enumerate(identity.numbers, 1):
+        yield Entry(0x1018, sub, Type.U32, Access.CONST, value)
+    yield Entry(0x1029, 0, Type.U8, Access.CONST, 1)
+    yield Entry(0x1029, 1, Type.U8, default=0, high=2)

@@ -17,13 +17,12 @@ from tsa_ctrl.bus.wire.bus import ERROR_FLAG, Bus, BusFault, Frame, next_frame
 from tsa_ctrl.bus.wire.link import set_up
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis, Record
-from tsa_ctrl.plant.cia301 import EmcyCode
+from tsa_ctrl.plant.cia301 import EmcyCode, Identity
 from tsa_ctrl.plant.cia402 import PowerState
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_emulation import AXIS_OFFSET, DriveEmulation, objects, pdos, shifted
 from tsa_ctrl.plant.faults import Changes, FaultKind, FaultPlan, Target, TransmitFaults, check_fault
-from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
@@ -156,12 +155,11 @@ class DriveNode(Node):
             there = shifted((index, 0), offset)[0]
             if any(entry[0] == there and sub in (None, entry[1]) for entry in known):
                 continue
-            subs = [f"0x{index:04X}:{entry[1]}" for entry in known if entry[0] == there]
-            here = {entry[0] for entry in known}
-            indices = [other for other in range(0x1000, 0x10000) if shifted((other, 0), offset)[0] in here]
-            words = subs or [f"0x{other:04X}" for other in indices]
             shown = f"0x{name:04X}" if isinstance(name, int) else name
-            raise UsageError(f"[axis.drive] {key}: this drive has no {shown}; its objects are {', '.join(words)}")
+            raise UsageError(
+                f"[axis.drive] {key}: this drive has no {shown}; correct index and sub-index, or remove it "
+                "(tsa plant --eds FILE lists its objects)"
+            )
 
     def _replace(self, key: Key, **changes: object) -> None:
         entry = self.dictionary.entries[key]

@@ -19,13 +19,16 @@ from tsa_ctrl.plant.cia301 import (
     EmcyCode,
     ErrorLog,
     Guarding,
+    Identity,
     NmtCommand,
     NmtState,
+    Storage,
     SyncPort,
+    communication_objects,
 )
 from tsa_ctrl.plant.dictionary import AbortCode, Entry, Key, ObjectDictionary, SdoAbort
-from tsa_ctrl.plant.identity import Identity, Quirks, Storage, communication_objects
 from tsa_ctrl.plant.pdo import PdoDefault, Rpdo, Tpdo
+from tsa_ctrl.plant.settings import Quirks
 
 _HEADER = struct.Struct("<BHB4s")
 _MAX_DOWNLOAD = 4096  # bytes; more is rejected, as in a node with little memory

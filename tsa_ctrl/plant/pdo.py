@@ -43,16 +43,12 @@ def is_synchronous(transmission: int) -> bool:
 class Pdo:
     """Simulate one PDO of a node. Its parameters are in the dictionary; a change of them compiles the packing again."""
 
+    direction: Direction
+
     def __init__(
-        self,
-        dictionary: ObjectDictionary,
-        number: int,
-        direction: Direction,
-        default: PdoDefault,
-        changed: Callable[[], None],
+        self, dictionary: ObjectDictionary, number: int, default: PdoDefault, changed: Callable[[], None]
     ) -> None:
-        self.direction = direction
-        self.communication, self.mapping = (base + number for base in direction.value)
+        self.communication, self.mapping = (base + number for base in self.direction.value)
         self._dictionary = dictionary
         self._changed = changed
         self.keys: tuple[Key, ...] = ()
@@ -157,13 +153,10 @@ class Pdo:
 class Tpdo(Pdo):
     """Simulate a PDO that the node transmits."""
 
-    def __init__(
-        self, dictionary: ObjectDictionary, number: int, default: PdoDefault, changed: Callable[[], None]
-    ) -> None:
-        self.syncs = 0
-        self.sent_at = -1.0e9
-        self.last = b""
-        super().__init__(dictionary, number, Direction.TPDO, default, changed)
+    direction = Direction.TPDO
+    syncs = 0
+    sent_at = -1.0e9
+    last = b""
 
     def pack(self) -> bytes:
         return self.packing.pack(*map(self._dictionary.values.__getitem__, self.keys))
@@ -198,6 +191,8 @@ class Rpdo(Pdo):
     A synchronous PDO acts at the next SYNC. `delay` more SYNCs delay any PDO.
     """
 
+    direction = Direction.RPDO
+
     def __init__(
         self,
         dictionary: ObjectDictionary,
@@ -210,7 +205,7 @@ class Rpdo(Pdo):
         self._delay = delay
         self._pending: bytes | None = None  # last frame since the last SYNC
         self._line: deque[bytes | None] = deque()  # frames before it, the oldest first
-        super().__init__(dictionary, number, Direction.RPDO, default, changed)
+        super().__init__(dictionary, number, default, changed)
 
     def forget(self) -> None:
         """Discard received values."""

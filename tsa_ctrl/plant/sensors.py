@@ -7,8 +7,8 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tsa_ctrl.plant.cia301 import Identity
 from tsa_ctrl.plant.dictionary import Access, Entry, Type
-from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.pdo import INVALID, PdoDefault
 from tsa_ctrl.plant.settings import EncoderSettings, TorqueSensorSettings

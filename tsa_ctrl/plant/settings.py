@@ -13,7 +13,6 @@ from tsa_ctrl import settings
 from tsa_ctrl.arguments import path_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
-from tsa_ctrl.plant.identity import Quirks
 
 NodeId = Annotated[int, Meta(ge=1, le=127)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -22,6 +21,9 @@ Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 Counts = Annotated[int, Meta(ge=1, le=1 << 31)]
+Code = Annotated[int, Meta(ge=0, le=0xFFFF)]
+ObjectName = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9]{1,3})?$")]
+ModeName = Literal["pp", "pv", "tq", "csp", "csv", "cst"]
 LEG = Path(__file__).parent / "leg.xml"  # MJCF of a leg: hip, knee and ankle above the ground
 HandRow = tuple[NonNegative, NonNegative, NonNegative, float]  # s, N*m/rad, N*m*s/rad, rad
 
@@ -47,6 +49,48 @@ class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 DriveKind = Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley", "ingenia"]
+
+
+class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Describe how one drive deviates from CiA 301 and 402; the fields are keys of `[axis.drive]`.
+
+    Each deviation was found on a real stack, and each default follows the standard. `absent`, `objects` and
+    `read_only` imitate further deviations.
+    """
+
+    # object dictionary
+    objects: dict[str, int] = {}  # other values at power-on, for example "0x6072:0" = 500
+    absent: list[int | ObjectName] = []  # objects that this drive lacks, for example 0x60A9 or "0x1400:5"
+    read_only: list[ObjectName] = []  # objects that cannot be written, for example "0x6007"
+    fixed_mapping: bool = False  # true: the PDO mapping is the one that this controller requires, and is read-only
+    heartbeat_consumers: Annotated[int, Meta(ge=1, le=8)] = 4  # number of entries of 0x1016
+    modes: tuple[ModeName, ...] = ("cst",)  # modes that 0x6502 reports and 0x6060 accepts
+
+    # startup
+    boot_time: NonNegative = 0.0  # time from reset or power-on to the boot-up message, s
+    starts_itself: bool = False  # true: the drive enters the state operational after the boot-up without a command
+    emcy_at_boot: Code = 0  # error code of an EMCY that follows the boot-up message; 0: no EMCY
+    answer_time: NonNegative = 0.0  # time from an SDO request to its response, s
+    node_id_unset: bool = False  # true: the drive has no node id until LSS assigns one
+    sync_producer: bool = False  # true: bit 30 of 0x1005 is set at power-on, and the drive sends a SYNC every 10 ms
+
+    # watchdogs
+    watchdogs: bool = True  # false: the drive accepts time-outs and reports when one expires, but keeps its torque
+    watches_always: bool = False  # true: with 0x6007 = 1, a lost heartbeat is a fault even if the drive is disabled
+    rpdo_timer_on_sync: bool = False  # true: the drive checks the RPDO event timer only at a SYNC
+    node_guarding: bool = False  # true: node guarding (0x100C, 0x100D, remote frames) replaces the heartbeat
+    guarding_toggles: bool = True  # false: the toggle bit of node guarding is constant
+
+    # commands
+    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # delay of a command in addition to the standard's, SYNCs
+
+    # state machine
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 reports the mode, otherwise 0
+    step_time: NonNegative = 0.0  # least time between two transitions towards operation enabled, s
+    statusword_bits: Code = 0  # bits of the statusword that are always set, for example the maker's bits 8, 14 and 15
+    reports_following: bool = True  # false: bit 12 of the statusword is always 0
+    safe_torque_off: bool = False  # true: safe torque off is active; the drive stays in switch on disabled, bit 4 is 0
+    warns_when_enabled: Code = 0  # error code of an EMCY without a fault at every enable; 0: no EMCY
 
 
 class DriveSettings(Quirks, frozen=True, kw_only=True):
