@@ -42,19 +42,19 @@ class Motion:
 def build_motion(settings: MotionSettings) -> Motion:
     """Return the motion that these settings describe; raises UsageError for an unusable file."""
     if settings.kind == "still":
-        return _motion(np.full(2, settings.offset), np.zeros(2), _GRID, False, 0.0)
+        return Motion(np.full(2, settings.offset), np.zeros(2), _GRID, False, 0.0)
     if settings.kind == "sine":
         period = 1.0 / settings.frequency
         t, grid = _cycle(period)
         argument = 2.0 * math.pi * settings.frequency * t + settings.phase
         angle = settings.offset + settings.amplitude * np.sin(argument)
         speed = settings.amplitude * 2.0 * math.pi * settings.frequency * np.cos(argument)
-        return _motion(angle, speed, grid, True, settings.ramp)
+        return Motion(angle, speed, grid, True, settings.ramp)
     if settings.kind == "gait":
         points = np.array([*_KNEE, (1.0, _KNEE[0][1])])
         t, grid = _cycle(settings.period)
         angle, speed = _smooth_cycle(points[:, 0] * settings.period, np.radians(points[:, 1]), t)
-        return _motion(settings.scale * angle, settings.scale * speed, grid, True, settings.ramp)
+        return Motion(settings.scale * angle, settings.scale * speed, grid, True, settings.ramp)
     return _from_file(settings)
 
 
@@ -86,10 +86,6 @@ def _smooth_cycle(
     return y[i] + u * (begin + u * (quadratic + u * cubic)), begin + u * (2.0 * quadratic + u * 3.0 * cubic)
 
 
-def _motion(angle: NDArray[np.float64], speed: NDArray[np.float64], grid: float, repeat: bool, ramp: float) -> Motion:
-    return Motion(np.ascontiguousarray(angle), np.ascontiguousarray(speed), grid, repeat, ramp)
-
-
 def _from_file(settings: MotionSettings) -> Motion:
     from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import
 
@@ -113,7 +109,7 @@ def _from_file(settings: MotionSettings) -> Motion:
     angle, speed = settings.scale * spline(grid), settings.scale * spline(grid, 1)
     if settings.repeat:
         _close(angle, speed, grid - t[0], duration)
-    return _motion(angle, speed, duration / count, settings.repeat, settings.ramp)
+    return Motion(angle, speed, duration / count, settings.repeat, settings.ramp)
 
 
 def _close(angle: NDArray[np.float64], speed: NDArray[np.float64], t: NDArray[np.float64], duration: float) -> None:

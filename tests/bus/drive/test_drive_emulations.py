@@ -38,16 +38,6 @@ def test_epos4_limits_by_current_and_takes_its_units_only_while_it_is_off(tmp_pa
     assert made.download(1, 0x60A9, 0, "I", 0x00B44700) == 0x08000022
 
 
-def test_the_velocity_unit_written_is_the_one_reported(tmp_path: Path) -> None:
-    made = bench(tmp_path, "generic")
-    drive = made.unit.drive
-    drive.readings.motor_speed = 6.283185307179586
-    for code, digits in ((0xFDB44700, 60_000), (0xFFB44700, 600), (0x00B44700, 60)):
-        assert made.download(1, 0x60A9, 0, "I", code) == 0
-        drive.sample()
-        assert drive.values[0x606C, 0] == digits
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_torque_and_speed_are_those_of_the_motor_in_every_makers_units(tmp_path: Path, kind: str) -> None:
     """Half the rated torque and one revolution per second are converted to drive units and back with the profile."""

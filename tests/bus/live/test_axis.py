@@ -91,13 +91,13 @@ def test_a_sensor_has_a_sign_and_a_zero() -> None:
     assert rig.axes[0].tpdo_ids == [0x181, 0x281, 0x1C0]
 
 
-def test_an_encoder_of_two_axes_is_heard_once_and_told_to_both() -> None:
+def test_two_axes_share_an_encoder_and_nothing_else() -> None:
     def answer(frame: Frame) -> Iterable[Frame]:
         if frame[0] != 0x80:
             return []
         frames: list[Frame] = [(0x1A0, struct.pack("<I", 1 << 18))]
         for node in (1, 2):
-            frames.append((0x180 + node, struct.pack("<Hhi", 0x1637, 0, 0)))
+            frames.append((0x180 + node, struct.pack("<Hhi", 0x1637, 100 * node, 0)))
             frames.append((0x280 + node, struct.pack("<ibH", 0, 10, 0)))
         return frames
 
@@ -111,6 +111,9 @@ def test_an_encoder_of_two_axes_is_heard_once_and_told_to_both() -> None:
     cycle(rig, bus)
     assert [axis.image.q_j for axis in rig.axes] == [pytest.approx(0.5 * math.pi)] * 2
     assert all(axis.image.fresh for axis in rig.axes)
+    assert [axis.image.tau_m for axis in rig.axes] == [pytest.approx(0.1), pytest.approx(0.2)]
+    rig.axes[1].command(0x06, 0.0)
+    assert bus.sent[-1] == (0x202, b"\x06\x00\x00\x00")
 
 
 def test_a_position_counts_from_its_zero_in_all_of_its_range_and_after_a_new_start_again() -> None:

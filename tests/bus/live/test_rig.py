@@ -13,7 +13,7 @@ from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import Responder, axis_nodes, cycle, one_axis_rig
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings
+from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.bus import BusFault
 
 
@@ -371,25 +371,3 @@ def test_start_forgets_what_was_latched() -> None:
     cycle(rig, bus)
     image = rig.axes[0].image
     assert (image.events, image.nodes[0].boot_ups, image.emcy, image.intruder, image.missed) == (0, 0, None, None, 0)
-
-
-def test_axes_of_one_bus_do_not_mix() -> None:
-    def answer(frame: tuple[int, bytes]) -> list[tuple[int, bytes]]:
-        if frame[0] != 0x80:
-            return []
-        frames = []
-        for node in (1, 2):
-            frames.append((0x180 + node, struct.pack("<Hhi", 0x1637, 100 * node, 0)))
-            frames.append((0x280 + node, struct.pack("<ibH", 0, 10, 0)))
-        return [*frames, (0x1A0, bytes(4))]
-
-    bus = FakeBus(FakeClock(), answer)
-    first = AxisNodes(name="a", drive=DriveSettings(node_id=1), encoder=EncoderSettings(node_id=32))
-    second = AxisNodes(name="b", drive=DriveSettings(node_id=2))
-    rig = Rig(bus, BusSettings(), [first, second], [DriveProfile()] * 2)
-    rig.start()
-    cycle(rig, bus)
-    assert [axis.image.tau_m for axis in rig.axes] == [pytest.approx(0.1), pytest.approx(0.2)]
-    assert math.isnan(rig.axes[1].image.q_j)
-    rig.axes[1].command(0x06, 0.0)
-    assert bus.sent[-1] == (0x202, b"\x06\x00\x00\x00")

@@ -23,7 +23,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import MAPPING_OFFSET, communication_of
 from tsa_ctrl.bus.drive.bring_up import write_all
 from tsa_ctrl.bus.drive.checks import Row
-from tsa_ctrl.bus.drive.profile import PER_MILLE, Index, NumberType, Subindex
+from tsa_ctrl.bus.drive.profile import PER_MILLE, ExtraWrite, NumberType
 from tsa_ctrl.bus.drive.session import RELEASED, Session
 from tsa_ctrl.bus.settings import NodeId, Word
 from tsa_ctrl.errors import BusError, UsageError
@@ -32,23 +32,10 @@ _MAPPABLE = 8  # maximum number of objects in a PDO, because each takes at least
 _COMMANDS = frozenset({objects.CONTROLWORD.key, objects.TARGET_TORQUE.key})
 
 
-class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+class StoredObject(ExtraWrite, frozen=True, kw_only=True):
     """One object of a backup: its index, type and value."""
 
-    index: Index
-    subindex: Subindex
-    type: NumberType
-    value: bool | int | float
     name: str = ""
-
-    @property
-    def entry(self) -> Object:
-        return Object(self.index, self.subindex, Type[self.type.upper()], self.name)
-
-    @property
-    def raw(self) -> int:
-        """Return the raw value; raise ValueError if the type cannot hold it."""
-        return self.entry.type.raw(self.value)
 
 
 class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

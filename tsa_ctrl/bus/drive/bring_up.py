@@ -458,12 +458,11 @@ def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int
             f"{name}: {names} answered before the reset but did not boot up within {node.boot_timeout:g} s; "
             f"the boot-up is slow: increase boot_timeout in {where}"
         )
-    heard = ", ".join(str(node_id) for node_id in sorted(session.heard))
-    if heard:
-        advice = "check its power, wiring and node_id, or increase boot_timeout if it is only slow"
-    else:
-        advice = "check power, wiring, bit rate and node_id, or increase boot_timeout if it is only slow"
-    return f"{name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'no node'}); {advice}"
+    heard = ", ".join(str(node_id) for node_id in sorted(session.heard)) or "no node"
+    return (
+        f"{name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard}); "
+        "check power, wiring, bit rate and node_id, or increase boot_timeout if it is only slow"
+    )
 
 
 def _configure(

@@ -77,10 +77,7 @@ def drive_plan(
         *([] if drive.polarity is None else [Write(objects.POLARITY, drive.polarity)]),
         _torque_clamp(profile, scale, where),
         Write(objects.MAX_MOTOR_SPEED, scale.max_speed_digits),
-        *(
-            Write(Object(extra.index, extra.subindex, Type[extra.type.upper()], extra.name), extra.raw)
-            for extra in profile.extra
-        ),
+        *(Write(extra.entry, extra.raw) for extra in profile.extra),
         *(Write(each.entry, each.restored, optional=True) for each in TORQUE_PATH if each.restored is not None),
         Write(objects.TARGET_TORQUE, 0),
         Write(objects.MODE, Mode.CYCLIC_SYNC_TORQUE),

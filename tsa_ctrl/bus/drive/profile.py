@@ -142,9 +142,13 @@ class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_onl
     name: str
 
     @property
+    def entry(self) -> objects.Object:
+        return objects.Object(self.index, self.subindex, objects.Type[self.type.upper()], self.name)
+
+    @property
     def raw(self) -> int:
         """Return the raw value; raise ValueError if the type cannot hold it."""
-        return objects.Type[self.type.upper()].raw(self.value)
+        return self.entry.type.raw(self.value)
 
 
 class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
