@@ -9,14 +9,14 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from tests.drives.rig import PERIOD, STILL, Foreign, Recording, refused, running
+from tests.drives.rig import PERIOD, STILL, Foreign, Recording, running
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
 from tsa_ctrl.plant.process import eds_files
-from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
+from tsa_ctrl.safety.supervisor import Supervisor
 
 durand_drive = pytest.importorskip("tests.drives.durand_drive")
 
@@ -56,38 +56,6 @@ def test_a_drive_on_durand_comes_up_pulls_stops_and_comes_up_again() -> None:
         assert master.rig.axes[0].image.tau_m == pytest.approx(0.3)
         assert master.stop() == []
         assert (drive.get(0x6041), drive.get(0x6077)) == (0x0250, 0)
-
-
-def test_the_torque_offset_of_a_drive_on_durand_is_neutralised() -> None:
-    """The drive has an offset of 120 per mille, which turns the motor at command 0. The startup sets it to 0."""
-    master = OnDurand()
-    drive = master.durand.drive
-    drive.node.object_dictionary.write(0x6041, 0, durand_drive.ENABLED)
-    drive.pull(0)
-    assert (drive.get(0x60B2), drive.get(0x6077)) == (120, 120)
-    drive.node.object_dictionary.write(0x6041, 0, durand_drive.DISABLED)
-    master.start_up()
-    assert drive.get(0x60B2) == 0
-    master.enable(0.0)
-    assert (drive.get(0x6041), drive.get(0x6077)) == (durand_drive.ENABLED, 0)
-    assert master.stop() == []
-
-
-def test_a_drive_on_durand_has_no_watchdog_and_that_is_said() -> None:
-    master = OnDurand()
-    master.axis = AxisNodes(name="knee", drive=DriveSettings(node_id=3))
-    with refused("neither a heartbeat consumer", "require_watchdog = false"):
-        master.start_up()
-    assert not [frame for frame in master.wire.sent if frame[1] == 0x203]
-
-
-def test_a_drive_on_durand_that_falls_silent_is_a_fault() -> None:
-    master = OnDurand()
-    master.start_up()
-    master.enable(0.2)
-    master.durand.remove_subscription(0x80)
-    master.run(Request.ENABLE, Phase.FAULT)
-    assert "stale PDO: drive node 3" in str(master.supervisor.fault)
 
 
 def test_a_master_on_python_canopen_enables_the_plant_and_pulls(tmp_path: Path) -> None:

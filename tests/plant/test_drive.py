@@ -25,12 +25,6 @@ def settled(bench: Bench, per_mille: int, controlword: int = 0x0F) -> tuple[int,
     return tpdo1(bench.sync())
 
 
-def test_torque_is_per_mille_of_the_rated_torque(bench: Bench) -> None:
-    bench.enable()
-    assert settled(bench, 300)[1] == 300
-    assert bench.unit.axis.values()["torque_loop"] == pytest.approx(0.3)
-
-
 @pytest.mark.parametrize(("transmission", "unchanged"), [(1, [0]), (255, [])])
 def test_the_current_loop_lags_from_the_sync_or_from_the_arrival_of_the_command(
     tmp_path: Path, transmission: int, unchanged: list[int]
@@ -120,15 +114,6 @@ def test_a_fault_takes_the_torque_and_stays(bench: Bench) -> None:
     bench.sync(2, bench.command(0x80))
     assert (0x081, bytes(8)) in bench.bus.sent[before:]
     assert bench.statusword() == 0x0250
-
-
-def test_a_cause_that_is_still_there_cannot_be_reset(bench: Bench) -> None:
-    bench.enable()
-    bench.unit.drive.error_cause = True
-    bench.unit.drive.fault(0x2310)
-    settled(bench, 0)
-    bench.sync(2, bench.command(0x80))
-    assert bench.statusword() == 0x0218
 
 
 def test_quick_stop_ends_disabled_when_the_torque_is_gone(bench: Bench) -> None:

@@ -75,15 +75,6 @@ def test_a_hand_moves_smoothly_from_row_to_row(tmp_path: Path) -> None:
     assert np.abs(np.diff(speed)).max() < 0.01
 
 
-def test_a_wearer_moves_holds_and_lets_go(tmp_path: Path) -> None:
-    wearer = axis(tmp_path, joint={"load": "wearer"}, motor={"inertia": 1e-4, "damping": 1e-4})
-    stiffness, angle = course(wearer, 12.0, "hand_stiffness", "q_j").T
-    assert stiffness.min() == 0.0
-    assert stiffness.max() == pytest.approx(15.0)
-    assert angle.max() > 0.4
-    assert angle.min() < -0.2
-
-
 @pytest.mark.parametrize("elements", [4, 40])
 def test_a_joint_that_is_thrown_through_many_turns_has_a_solution(tmp_path: Path, elements: int) -> None:
     """A hand jumps by 1000 rad in 1 ms. The rounding errors of such angles must not prevent a solution."""

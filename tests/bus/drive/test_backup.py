@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from tests.drives.rig import STILL, running
 from tests.plant.bench import plant_file
-from tsa_ctrl.bus.drive.backup import Backup, StoredObject, load_backup, restore_plan
+from tsa_ctrl.bus.drive.backup import Backup, StoredObject, load_backup
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
@@ -208,26 +208,6 @@ def test_restore_to_an_enabled_drive_is_refused(drive: Simulated, tmp_path: Path
     with pytest.raises(TsaError, match="the drive is enabled"):
         run(drive, "restore", str(file))
     assert drive.values[0x6072, 0] == 2999
-
-
-def test_restore_maps_pdos_by_the_procedure() -> None:
-    stored = [
-        StoredObject(index=0x1A00, subindex=0, type="u8", value=1),
-        StoredObject(index=0x1A00, subindex=1, type="u32", value=0x60410010),
-        StoredObject(index=0x1A00, subindex=2, type="u32", value=0x60770010),
-        StoredObject(index=0x1800, subindex=1, type="u32", value=0x181),
-        StoredObject(index=0x1800, subindex=2, type="u8", value=1),
-        StoredObject(index=0x6072, subindex=0, type="u16", value=500),
-    ]
-    assert [(*write.entry.key, write.value) for write in restore_plan(stored)] == [
-        (0x1800, 1, 0x80000181),
-        (0x1A00, 0, 0),
-        (0x1A00, 1, 0x60410010),
-        (0x1A00, 0, 1),
-        (0x1800, 2, 1),
-        (0x1800, 1, 0x181),
-        (0x6072, 0, 500),
-    ]
 
 
 def test_no_drive_named_is_a_usage_error() -> None:

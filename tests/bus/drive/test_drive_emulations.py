@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.plant.bench import Bench
-from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import drive_scale, load_profile
-from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+from tsa_ctrl.bus.settings import DriveSettings
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
@@ -53,15 +52,3 @@ def test_torque_and_speed_are_those_of_the_motor_in_every_makers_units(tmp_path:
     drive.readings.motor_speed = 6.283185307179586
     drive.sample()
     assert drive.values[0x606C, 0] * scale.velocity == pytest.approx(6.283185307179586, rel=1e-3)
-
-
-@pytest.mark.parametrize("path", sorted((CONFIG / "drives").glob("*.toml")), ids=lambda path: path.stem)
-def test_a_shipped_profile_takes_the_usual_rates(path: Path) -> None:
-    """They are written as whole milliseconds with exponent -3."""
-    profile = load_profile(path.stem, CONFIG)
-    settings = DriveSettings(node_id=1, rpdo_timeout=0.1)
-    for rate in (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0):
-        axis = AxisNodes(name="knee", drive=settings)
-        plan = drive_plan(axis, profile, drive_scale(settings, profile, "here"), BusSettings(), 1.0 / rate)
-        written = {write.entry.key: write.value for write in plan if write.entry.index == 0x60C2}
-        assert written in ({}, {(0x60C2, 1): round(1000.0 / rate), (0x60C2, 2): -3})

@@ -156,10 +156,3 @@ def test_startup_waits_for_the_mode_and_refuses_a_drive_that_never_sends_it() ->
     nodes.edit = lambda number, frames: [frame for frame in frames if frame[0] != STATE]
     with pytest.raises(BusError, match="drive node 1"):
         check_startup(rig, 0.001, 60)
-
-
-def test_a_drive_that_ignores_the_transmission_type_is_refused() -> None:
-    rig, _, nodes = lean_rig()
-    nodes.edit = lambda number, frames: [*frames, (STATE, struct.pack("<bH", 10, 0))]
-    with pytest.raises(BusError, match="more PDOs"):
-        check_startup(rig, 0.001, 50)
