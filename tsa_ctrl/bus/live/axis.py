@@ -249,8 +249,6 @@ class Axis:
         store_motion, store_position = self._store_motion, self._store_position
         if self._is_lean:
             store_motion, store_position = self._store_lean_motion, self._store_lean_state
-        elif not self._has_error_code:
-            store_position = self._store_bare_position
         self.inboxes = [Inbox(layout.motion, health, store_motion), Inbox(layout.position, health, store_position)]
         self._control_inboxes = list(self.inboxes)  # the axis is fresh only with these answers
         self._watched = [(health, tuple(self.inboxes))]  # the answers of each node
@@ -359,15 +357,15 @@ class Axis:
             image.omega_m = velocity * self._velocity
 
     def _store_position(self, values: tuple[Any, ...]) -> None:
-        image = self.image
-        self._motor_count, image.mode, image.error_code = values
+        self._motor_count, self.image.mode = values[0], values[1]
+        self.image.error_code = self._error_code(values)
 
-    def _store_bare_position(self, values: tuple[Any, ...]) -> None:
-        """Store the position of a drive without 0x603F; its error code is taken from its last emergency."""
-        image = self.image
-        self._motor_count, image.mode = values
-        said = image.nodes[0].emcy
-        image.error_code = 0 if said is None else said.code
+    def _error_code(self, values: tuple[Any, ...]) -> int:
+        """Return the error code at the end of a PDO, or that of the last emergency of a drive without 0x603F."""
+        if self._has_error_code:
+            return int(values[-1])
+        said = self.image.nodes[0].emcy
+        return 0 if said is None else said.code
 
     def _store_lean_motion(self, values: tuple[Any, ...]) -> None:
         image = self.image
@@ -377,10 +375,8 @@ class Axis:
             image.error_code = image.nodes[0].emcy.code
 
     def _store_lean_state(self, values: tuple[Any, ...]) -> None:
-        image = self.image
-        said = image.nodes[0].emcy
-        image.mode = values[0]
-        image.error_code = values[1] if self._has_error_code else 0 if said is None else said.code
+        self.image.mode = values[0]
+        self.image.error_code = self._error_code(values)
 
     def _store_encoder(self, values: tuple[Any, ...]) -> None:
         self._joint_count = values[0]
