@@ -55,6 +55,8 @@ def test_quick_stop_ends_only_by_disable_voltage_unless_it_stays() -> None:
     machine = machine_in(STOP)
     machine.control(0x0F, quick_stop_stays=False, fault_gone=True)
     assert machine.state is STOP
+    machine.control(0x00, quick_stop_stays=False, fault_gone=True)
+    assert machine.state is DISABLED
 
 
 @pytest.mark.parametrize("state", list(PowerState))

@@ -5,7 +5,11 @@ from __future__ import annotations
 import pytest
 
 from tsa_ctrl.bus.canopen.cia402 import (
+    INTERNAL_LIMIT,
+    REMOTE,
+    VOLTAGE_ENABLED,
     WALK,
+    WARNING,
     Controlword,
     PowerState,
     decode,
@@ -71,3 +75,7 @@ def test_every_command_towards_off_switches_the_power_stage_off(state: PowerStat
 @pytest.mark.parametrize("state", [S.FAULT, S.FAULT_REACTION_ACTIVE, S.NOT_READY_TO_SWITCH_ON, S.UNKNOWN])
 def test_nothing_leaves_a_fault_or_an_unknown_state_by_itself(state: PowerState, target: PowerState) -> None:
     assert next_controlword(state, target) is Controlword.DISABLE_VOLTAGE
+
+
+def test_bits_besides_the_state_are_those_of_the_standard() -> None:
+    assert [VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT] == [0x0010, 0x0080, 0x0200, 0x0800]

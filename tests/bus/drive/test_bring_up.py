@@ -61,9 +61,10 @@ def test_drive_holds_the_whole_configuration_afterwards(tmp_path: Path) -> None:
 
 
 def test_rpdo_on_arrival_is_transmission_type_255(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path)
+    """Its communication parameters are as required already, but it must be disabled while it is mapped."""
+    foreign = Foreign(tmp_path, objects(x1400_5=20))
     start(foreign, rpdo="arrival")
-    assert foreign.node.values[0x1400, 2] == 255
+    assert (foreign.node.values[0x1400, 2], foreign.node.values[0x1600, 2]) == (255, 0x60710010)
 
 
 def test_report_shows_what_was_changed_and_what_is_missing(tmp_path: Path) -> None:
