@@ -107,6 +107,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("EMCY at boot", {"emcy_at_boot": 0x8100}, told="reported during the bring-up: EMCY 0x8100"),
     Variation("starts itself", {"starts_itself": True}),
     Variation("several axes, device type 0xFFFF0192", _objects(x1000_0=0xFFFF0192)),
+    Variation("several axes, device type 0x0000FFFF", _objects(x1000_0=0x0000FFFF)),
     Variation("another kind of device", _objects(x1000_0=0x00020191), refused="correct node_id"),
     Variation("another vendor", {"vendor": 0x9A}, drive={"vendor_id": 0x0F0F}, refused="correct node_id, vendor_id"),
     Variation("another serial number", {"serial_number": 5}, drive={"serial_number": 6}, refused="serial_number"),
