@@ -30,7 +30,8 @@ from tests.fuzz.frames import NODES
 from tests.log.logs import write_log
 from tests.plant.bench import Bench
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.canopen.eds import read_eds
+from tsa_ctrl.bus.canopen.eds import check_plan
+from tsa_ctrl.bus.canopen.objects import MAX_TORQUE, Write
 from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
 from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.bus.drive.session import Session
@@ -397,7 +398,7 @@ def targets() -> tuple[Target, ...]:
         ),
         Target(
             "eds",
-            _in_file(".eds", read_eds),
+            _in_file(".eds", lambda path: check_plan(path, [Write(MAX_TORQUE, 1000)])),
             _text(EDS),
             _text("[6072]", "DataType=", "0x", "=", "\n[", "$NODEID", "ObjectType=8", "SubNumber=", "[6072sub1]", ";"),
         ),
