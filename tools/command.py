@@ -7,6 +7,7 @@ import concurrent.futures
 import contextlib
 import dataclasses
 import datetime
+import itertools
 import json
 import multiprocessing
 import os
@@ -54,13 +55,6 @@ SHARED: dict[str, dict[str, Any]] = {  # options of several commands
     "--rigs": {"type": int, "default": 10},
     "--first": {"type": int, "default": 0, "help": "number of the first rig"},
     "--sensors": {"nargs": "+", "choices": SENSORS, "default": SENSORS},
-    "--compensation": {"type": float, "default": 0.95, "help": "share of the friction term (default 0.95)"},
-    "--axis": {
-        "default": "",
-        "metavar": "TOML",
-        "help": "replace keys of the controller's [[axis]]: 'law.settle = 0.0'",
-    },
-    "--file": {"default": "", "metavar": "TOML", "help": "replace keys of the controller's other tables"},
 }
 
 
@@ -246,6 +240,13 @@ def print_tables(rows: Sequence[Row], chosen: argparse.Namespace, tables: Callab
         return
     for each in tables():
         print(each, flush=True) if isinstance(each, str) else Console(width=250).print(each)
+
+
+def parts(rows: Sequence[Row], **values: Iterable[str]) -> Iterator[tuple[tuple[str, ...], list[Row]]]:
+    """Yield each combination of values of these keys that rows have, with its rows."""
+    for key in itertools.product(*values.values()):
+        if those := [row for row in rows if tuple(row[name] for name in values) == key]:
+            yield key, those
 
 
 def table(head: Sequence[str], lines: Iterable[Sequence[object]], title: str | None = None) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import random
 import secrets
 import time
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from tools.bench import checks
-from tools.campaign.passive import cases, changes, scan
+from tools.campaign.passive import changes, scan
 from tools.campaign.passive.experiment import SENSORS
 
 SHARE, SECONDS = 0.02, 5.0  # share of the cases; s of processor time of each campaign
@@ -37,8 +38,8 @@ def drawn(every: Sequence[Any], play: Callable[[Any], dict[str, Any]]) -> list[d
 
 @pytest.mark.slow
 def test_no_motion_is_sustained_with_less_friction_than_the_files() -> None:
-    judge = scan.Judge(0.95, "bench", scan.REST, {}, {})
-    every = scan.cells(SEED, PROMISED, ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES, {})
+    judge = functools.partial(scan.judge, use="bench")
+    every = scan.cells(SEED, PROMISED, ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES)
     for row in drawn(every, judge):
         assert not row["sustained"], scan.words(row)
         assert row["work"] <= SCANNED or row["set_point"] != "zero", scan.words(row)
@@ -47,8 +48,8 @@ def test_no_motion_is_sustained_with_less_friction_than_the_files() -> None:
 @pytest.mark.slow
 def test_no_motion_is_sustained_with_a_wrong_torque_sensor() -> None:
     """It is unplugged, reversed, or reversed with half of its gain. It receives at most the energy credit."""
-    judge = scan.Judge(0.95, "worn", scan.REST, {}, {})
-    rig = ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES, {}
+    judge = functools.partial(scan.judge, use="worn")
+    rig = ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES
     for row in drawn(scan.cells(SEED, ("sensor",), *rig, gains=(-1.0, -0.5, 0.0)), judge):
         assert scan.good(row), scan.words(row)
 
@@ -58,7 +59,7 @@ def test_a_change_that_a_torque_sensor_shows_adds_little_work() -> None:
     parser = argparse.ArgumentParser()
     changes.options(parser)
     shown = [case for case in changes.cases(parser.parse_args([])) if case.sensors == "sensor" and case.change]
-    for row in drawn(shown, lambda case: cases.judge(case, 0.95)):
+    for row in drawn(shown, changes.judge):
         assert row["added"] <= SURE, changes.words(row)
 
 

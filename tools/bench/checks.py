@@ -34,9 +34,8 @@ import numpy as np
 from rich.table import Table
 
 from tools import command
-from tools.campaign.passive.cases import Ended
 from tools.campaign.passive.experiment import Experiment
-from tools.campaign.passive.judge import peak_speed, reactions, windows
+from tools.campaign.passive.judge import Ended, peak_speed, reactions, windows
 from tools.command import Row
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.ipc.protocol import Event
@@ -224,15 +223,13 @@ def _trial(key: tuple[str, str, str, str, bool]) -> Row:
 def tables(rows: Sequence[Row], arguments: argparse.Namespace) -> list[Table]:
     """Return a table for each sensor configuration and set-point, with a row per fault and a column per load."""
     found = []
-    for sensors, set_point in itertools.product(arguments.sensors, arguments.set_points):
-        those = [row for row in rows if (row["sensors"], row["set_point"]) == (sensors, set_point)]
-        title = f"{sensors}, {set_point}: told / off (s); given (mJ)"
-        table = Table("fault", *arguments.loads, "words of the first", title=title, title_justify="left")
-        for name in arguments.faults:
-            by_load = {row["load"]: row for row in those if row["fault"] == name}
-            if by_load:
-                words = next((row["words"] for row in by_load.values() if row["words"]), "nothing")
-                cells = (cell(by_load[load]) if load in by_load else "" for load in arguments.loads)
-                table.add_row(name, *cells, words.split(":")[0])
-        found += [table] if those else []
+    for key, those in command.parts(rows, sensors=arguments.sensors, set_point=arguments.set_points):
+        lines = []
+        for (name,), mine in command.parts(those, fault=arguments.faults):
+            by_load = {row["load"]: row for row in mine}
+            words = next((row["words"] for row in mine if row["words"]), "nothing")
+            cells = (cell(by_load[load]) if load in by_load else "" for load in arguments.loads)
+            lines.append((name, *cells, words.split(":")[0]))
+        heads = ("fault", *arguments.loads, "words of the first")
+        found.append(command.table(heads, lines, f"{', '.join(key)}: told / off (s); given (mJ)"))
     return found

@@ -26,28 +26,169 @@ sensor configuration, and --which prints the cases that missed a goal. Exit code
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
 import itertools
 import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+import numpy as np
 from rich.table import Table
 
 from tools import command
-from tools.campaign.passive.cases import AT, CONFIRMED, Case, judge
-from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS
+from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS, SHARE, Experiment
+from tools.campaign.passive.judge import (
+    GUARD,
+    LET_GO,
+    Ended,
+    FloatArray,
+    peak_speed,
+    power,
+    reactions,
+    speed,
+    windows,
+)
+from tools.campaign.passive.scan import RELAXED
 from tools.command import Row
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.virtual.result import Simulation
+from tsa_ctrl.virtual.script import Change, Fault
 
+AT, WATCHED = 1.2, 3.0  # s: time of the change, and observation after the change
+TO_REST, AT_REST, MEASURED = 2.0, 3.0, 1.0  # s: set-point gain fades to 0, motion decays, measurement at rest
+SWUNG = 0.05  # s after the guard has acted, by which a swing has decayed
+FELT = 1e-3  # J, three times the energy of a healthy reversal
+ALLOWED = 3e-3  # J, [axis.passivity] energy as shipped
+CONFIRMED = 2.5  # s of the log, by which the tendons have slid in both directions with a sine
+LOST = {"free": 60e-3}  # J, most work that a loss after CONFIRMED may add with a joint encoder; 30 mJ for other loads
+QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
 CHANGES = {
     "pretension": (0.1, 0.3, 0.5, 0.7, 0.9),
     "friction": (0.1, 0.5, 0.75, 1.25, 1.5),
     "bending": (0.8, 0.9, 1.1, 1.2),
     "torque_gain": (1.4, 2.0),
 }
-case_of = functools.partial(command.from_row, Case)
 LOSSES = (("pretension", 0.5), ("friction", 0.1), ("torque_gain", 1.4), ("torque_gain", 2.0))
 LOSS_TITLE = "loss: worst work added (mJ) before; once both directions have slid"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run with a change at the time `at` (s) of the log. Without a `change`, the set-point ends at this time."""
+
+    sensors: str
+    load: str
+    set_point: str
+    change: str
+    share: float
+    delay: int
+    at: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.sensors}, {self.load}, {self.set_point}, {self.what}, delay {self.delay}, at {self.at:g} s"
+
+    @property
+    def what(self) -> str:
+        return f"{self.change} {self.share:g}" if self.change else "nothing"
+
+    @property
+    def stands(self) -> bool:
+        return self.set_point in ("zero", "constant")
+
+    @property
+    def most(self) -> float | None:
+        """Return the goal for the added work, J, or None without a goal."""
+        if self.sensors == "sensor":
+            return 0.5 * INERTIA[self.load]
+        lost = self.change in ("pretension", "friction") and self.share < 1.0
+        if self.sensors == "encoder" and self.set_point == "sine" and lost and self.at >= CONFIRMED:
+            return LOST.get(self.load, 30e-3)
+        return None
+
+    def play(self, compensation: float = SHARE) -> Simulation:
+        """Run the case with this compensation."""
+        go = self.at + LET_GO
+        hands: dict[str, Sequence[Sequence[float]]] = {
+            "limb": ((0.0, 0.0, 1.0, 0.0), (go, 0.0, 1.0, 0.0), (go + 0.01, 0.0, 0.0, 0.0)),
+            "wearer": RELAXED,
+        }
+        hand = hands.get(self.load) if self.stands else None
+        rig = Experiment(
+            self.load, self.set_point, self.sensors, delay=self.delay, compensation=compensation, hand=hand
+        )
+        if not self.change:
+            changes = [Change("setpoint_gain", 0.0, self.at)]
+            return rig.play(self.at + TO_REST + AT_REST + MEASURED, changes=changes)
+        faults = [Fault(f"{self.change} value={self.share:g}", self.at)]
+        if self.stands:
+            faults.append(Fault("push value=0.5 duration=0.05", self.at))
+        return rig.play(self.at + WATCHED, faults, ended=Ended(self.at, self.stands))
+
+
+def judge(case: Case, compare: bool = False) -> Row:
+    """Run and evaluate a case. If it may miss a goal, or with `compare`, also run it at compensation 0."""
+    result = case.play()
+    events = result.summary.events
+    row: Row = {**dataclasses.asdict(case), **reactions(events, case.at)}
+    row["told"] = any(event.text.startswith(GUARD) for event in events)
+    row["words"] = next((event.text for event in events if event.t > case.at and event.text), "")
+    if not case.change:
+        truth, axis = result.truth, result.axes[0]
+        begin = case.at + TO_REST + AT_REST
+        t = truth["clock"] - axis.start
+        row["speed"] = speed(result, begin, axis.until)
+        row["torque"] = float(np.ptp(truth["tau_m"][(t > begin) & (t < axis.until)]))
+        row["good"] = row["speed"] <= QUIET_SPEED and row["torque"] <= QUIET_TORQUE and not row["told"]
+        return row
+    t, work = power(result, case.at)
+    given = windows(work)
+    row |= _swing(result, case.at, t, given)
+    felt = np.flatnonzero(given > FELT)
+    row["work"] = float(given.max(initial=0.0))
+    row["late"] = _late(t, work, float(t[felt[0]]) + 1.0) if felt.size else 0.0
+    row["onset"] = float(t[felt[0]]) - case.at if felt.size else None
+    row["peak"] = peak_speed(result, case.at)
+    most = 0.0 if compare else ALLOWED
+    if row["work"] > most or row["late"] > FELT:
+        t, work, row["peak_without"] = _without(dataclasses.replace(case, sensors="sensor"))
+        row["work_without"] = float(windows(work).max(initial=0.0))
+        row["late_without"] = _late(t, work, case.at + (row["onset"] or 0.0) + 1.0)
+    row["added"] = max(0.0, row["work"] - row.get("work_without", 0.0))
+    row["late_added"] = max(0.0, row["late"] - row.get("late_without", 0.0))
+    row["silent"] = row["added"] > ALLOWED + FELT and row["reported"] is None
+    row["good"] = case.most is None or row["added"] <= case.most
+    if case.sensors == "sensor":
+        row["good"] &= row["late_added"] <= FELT and not row["silent"]
+    return row
+
+
+@functools.lru_cache(maxsize=8)
+def _without(case: Case) -> tuple[FloatArray, FloatArray, float]:
+    """Return times, work per row and highest speed of a case at compensation 0, which do not depend on the sensors."""
+    result = case.play(0.0)
+    return *power(result, case.at), peak_speed(result, case.at)
+
+
+def _swing(result: Simulation, at: float, t: FloatArray, given: FloatArray) -> Row:
+    """Return the joint's speed at the change, and the work after the guard first acted on it."""
+    axis, truth = result.axes[0], result.truth
+    speed_then = float(np.interp(at, truth["clock"] - axis.start, truth["omega_j"]))
+    acted = [event.t for event in result.summary.events if event.t >= at and event.text.startswith(GUARD)]
+    found: Row = {"speed": speed_then, "acted": None, "after": 0.0}
+    if acted and t.size:
+        place = min(int(np.searchsorted(t, acted[0])), t.size - 1)
+        swing = given[place : int(np.searchsorted(t, acted[0] + SWUNG))]
+        found |= {"acted": acted[0] - at, "after": max(0.0, float(swing.max(initial=0.0) - given[place]))}
+    return found
+
+
+def _late(t: FloatArray, work: FloatArray, begin: float) -> float:
+    return float(windows(work[t >= begin]).max(initial=0.0))
+
+
+case_of = functools.partial(command.from_row, Case)
 
 
 def cases(chosen: argparse.Namespace) -> list[Case]:
@@ -82,28 +223,19 @@ def change_of(text: str) -> tuple[str, float]:
 
 def table(rows: Sequence[Row]) -> Table:
     """Return a line for each sensor configuration, load and set-point."""
-    heads = ("sensors", "load", "set-point", "runs", "added, worst (mJ)", "goal", "late, worst (mJ)", "reported")
-    found = Table(*heads, "latched", "missed", "at rest (rad/s; N·m)", title="changes", title_justify="left")
-    for key in itertools.product(SENSORS, INERTIA, SET_POINTS):
-        those = [row for row in rows if (row["sensors"], row["load"], row["set_point"]) == key]
+    lines = []
+    for key, those in command.parts(rows, sensors=SENSORS, load=INERTIA, set_point=SET_POINTS):
         changed = [row for row in those if row["change"]]
-        if not those:
-            continue
         resting = [row for row in those if not row["change"]]
         rest = f"{max(r['speed'] for r in resting):.3f}; {max(r['torque'] for r in resting):.3f}" if resting else "-"
-        goals = {case_of(row).most for row in changed} - {None}
-        found.add_row(
-            *key,
-            str(len(those)),
-            f"{1e3 * max((row['added'] for row in changed), default=0.0):.1f}",
-            ", ".join(f"{1e3 * most:.0f}" for most in sorted(filter(None, goals))) or "-",
-            f"{1e3 * max((row['late_added'] for row in changed), default=0.0):.1f}",
-            str(sum(row["reported"] is not None for row in changed)),
-            str(sum(row["latched"] is not None for row in changed)),
-            str(sum(not row["good"] for row in those)),
-            rest,
-        )
-    return found
+        goals = sorted({most for row in changed if (most := case_of(row).most)})
+        worst = {name: 1e3 * max((row[name] for row in changed), default=0.0) for name in ("added", "late_added")}
+        works = (f"{worst['added']:.1f}", ", ".join(f"{1e3 * most:.0f}" for most in goals) or "-")
+        counts = (sum(row[name] is not None for row in changed) for name in ("reported", "latched"))
+        missed = sum(not row["good"] for row in those)
+        lines.append((*key, len(those), *works, f"{worst['late_added']:.1f}", *counts, missed, rest))
+    heads = ("sensors", "load", "set-point", "runs", "added, worst (mJ)", "goal", "late, worst (mJ)", "reported")
+    return command.table((*heads, "latched", "missed", "at rest (rad/s; N·m)"), lines, "changes")
 
 
 LISTED: command.Columns = {
@@ -127,7 +259,7 @@ LISTED: command.Columns = {
 
 def losses(rows: Sequence[Row]) -> Table:
     """Return a line for each load, set-point and loss, with the worst work before and after CONFIRMED, mJ."""
-    found = Table("load", "set-point", "change", *SENSORS, "c = 0", title=LOSS_TITLE, title_justify="left")
+    lines = []
     keys = dict.fromkeys((row["load"], row["set_point"], case_of(row).what) for row in rows)
     for key in keys:
         those = [row for row in rows if (row["load"], row["set_point"], case_of(row).what) == key]
@@ -135,11 +267,10 @@ def losses(rows: Sequence[Row]) -> Table:
         for sensors in SENSORS:
             mine = [row for row in those if row["sensors"] == sensors]
             early, late = ([row for row in mine if (row["at"] >= CONFIRMED) is known] for known in (False, True))
-            cells.append(
-                "; ".join(f"{1e3 * max(r['added'] for r in each):.0f}" if each else "-" for each in (early, late))
-            )
-        found.add_row(*key, *cells, f"{1e3 * max(row.get('work_without', 0.0) for row in those):.0f}")
-    return found
+            works = (f"{1e3 * max(r['added'] for r in each):.0f}" if each else "-" for each in (early, late))
+            cells.append("; ".join(works))
+        lines.append((*key, *cells, f"{1e3 * max(row.get('work_without', 0.0) for row in those):.0f}"))
+    return command.table(("load", "set-point", "change", *SENSORS, "c = 0"), lines, LOSS_TITLE)
 
 
 def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
@@ -152,7 +283,7 @@ def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
     parser.add_argument("--changes", nargs="+", metavar="NAME=SHARE", default=losses, help="default: all, and nothing")
     parser.add_argument("--delays", type=int, nargs="+", default=(1,) if loss else (1, 3), help="periods")
     parser.add_argument("--at", type=float, nargs="+", default=(3.0, 3.5, 1.0) if loss else (AT,), help="s of the log")
-    command.share(parser, "sensors compensation sample seed rows processes json")
+    command.share(parser, "sensors sample seed rows processes json")
     parser.add_argument("--worst", action="store_true", help="also print the 20 worst of each configuration")
     parser.add_argument("--which", action="store_true", help="also print the cases that missed a goal")
     parser.set_defaults(loss=loss)
@@ -161,7 +292,7 @@ def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Run and print the chosen cases. Return 1 if a case missed a goal."""
     found = command.drawn(cases(chosen), chosen)
-    play = functools.partial(judge, compensation=chosen.compensation, compare=chosen.loss)
+    play = functools.partial(judge, compare=chosen.loss)
 
     def tables(rows: list[Row]) -> list[Table | str]:
         changed = [row for row in rows if row["change"]]
@@ -174,18 +305,9 @@ def run(chosen: argparse.Namespace) -> int:
         drawn = f"; seed {chosen.seed}" if chosen.sample else ""
         return [*tables, f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed{drawn}"]
 
-    key = functools.partial(_at, compensation=chosen.compensation)
-    return command.judged(play, found, key, chosen, good, lambda row: f"{case_of(row).name}: {words(row)}", tables)
-
-
-def good(row: Row) -> bool:
-    """Return True if a case met its goals."""
-    return bool(row["good"])
-
-
-def _at(row: Row, compensation: float) -> Case | None:
-    """Return the case of a row, or None if the row has another compensation."""
-    return case_of(row) if row["compensation"] == compensation else None
+    return command.judged(
+        play, found, case_of, chosen, lambda row: row["good"], lambda row: f"{case_of(row).name}: {words(row)}", tables
+    )
 
 
 def words(row: Row) -> str:

@@ -32,6 +32,7 @@ from tsa_ctrl.virtual.simulation import Run
 INERTIA = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer": 0.05}  # kg*m^2 of the joint, by load
 SENSORS = command.SENSORS
 SET_POINTS = ("zero", "constant", "sine", "gait")
+SHARE = 0.95  # of the friction term, [axis.law] compensation as shipped
 CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
 GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque, to keep a joint of 0.02 kg*m^2 below 5 rad/s
 _PLACES = {name: place for place, (name, _) in enumerate(COLUMNS)}
@@ -84,7 +85,7 @@ class Experiment:
     delay: int = 1
     motor_bits: int = 16
     joint_bits: int = 20
-    compensation: float = 0.95
+    compensation: float = SHARE
     fade_in: float = 0.5
     inertia: float = rig.MOTOR_INERTIA
     true_stiffness: bool = False

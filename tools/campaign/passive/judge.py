@@ -16,8 +16,11 @@ from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 
 GUARD = ("passivity", "oscillation")  # first words of the guard's events
-LATCHED = "latched at"  # words of an event in which the guard latches
+LATCHES = "latched at"  # words of an event in which the guard latches
 
+STILL, REST = 0.01, 1.0  # rad/s below which the joint is at rest, and s of rest that end a run
+LET_GO = 0.2  # s from a change until the hand releases the joint
+LATCHED = 1.2  # s of observation after a latch
 FloatArray = NDArray[np.float64]
 
 
@@ -60,7 +63,7 @@ def peak_speed(result: Simulation, begin: float) -> float:
 
 def latches(event: Event) -> bool:
     """Return True for a fault and for an event in which the guard latches."""
-    return event.fault or LATCHED in event.text
+    return event.fault or LATCHES in event.text
 
 
 def reactions(events: Sequence[Event], begin: float) -> dict[str, float | None]:
@@ -68,3 +71,18 @@ def reactions(events: Sequence[Event], begin: float) -> dict[str, float | None]:
     later = [event for event in events if event.t > begin and event.text]
     first = {"reported": later[:1], "latched": [event for event in later if latches(event)][:1]}
     return {name: found[0].t - begin if found else None for name, found in first.items()}
+
+
+class Ended:
+    """A function that returns True to end a run, after a latch or, with `stands`, once the joint has rested."""
+
+    def __init__(self, at: float, stands: bool) -> None:
+        self._at, self._stands = at, stands
+        self._moved = at + LET_GO
+
+    def __call__(self, t: float, omega: float, events: Sequence[Event]) -> bool:
+        if abs(omega) > STILL:
+            self._moved = max(t, self._moved)
+        if self._stands and t - self._moved > REST:
+            return True
+        return any(self._at < event.t < t - LATCHED and latches(event) for event in events)

@@ -10,7 +10,7 @@ values of the delivered minus the desired joint torque from the plant's truth, i
   again       the first 4 s after an EMCY has disabled the drive and a recovery has enabled it again
 
 For a locked joint at a constant set-point of 0.3 N*m, "loss" is the decrease of the delivered torque between 1.5 s and
-20 s, in %. With --against REV the same cells also run on the package of another revision, without --axis and --file.
+20 s, in %. With --against REV the same cells also run on the package of another revision.
 Its worktree and rows are kept in .cache/against. Each value is then followed by its ratio to that revision. Goals:
 confirmed at most 1.2 times, again at most 1.3 times (values below 2 mN*m count as 2), loss at most 5 %. Exit code 1: a
 goal was missed.
@@ -30,14 +30,13 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import tomlkit
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.experiment import SENSORS, Experiment
+from tools.command import Row
 from tools.revision import WORKTREES, commit_of, worktree
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.limiter import Reason
@@ -66,14 +65,11 @@ class Cell:
 cell_of = functools.partial(command.from_row, Cell)
 
 
-def play(cell: Cell, compensation: float, delay: int, tables: tuple[dict[str, Any], dict[str, Any]]) -> dict[str, Any]:
+def play(cell: Cell) -> Row:
     """Run a cell and return its errors, mN*m, or the loss of a constant torque, %."""
-    axis, file = tables
-    rig = Experiment(
-        cell.load, cell.set_point, cell.sensors, compensation=compensation, delay=delay, true_stiffness=True,
-        axis=axis, file={**file, "controller": {"after_fault": "wait", **file.get("controller", {})}},
-    )  # fmt: skip
-    row = {**dataclasses.asdict(cell), "compensation": compensation, "delay": delay}
+    file = {"controller": {"after_fault": "wait"}}
+    rig = Experiment(cell.load, cell.set_point, cell.sensors, true_stiffness=True, file=file)
+    row = dataclasses.asdict(cell)
     if cell.set_point == "constant":
         delivered = rig.play(LOSS_TO + 0.1).axes[0]
         early, late = (_mean(delivered, at) for at in (LOSS_FROM, LOSS_TO))
@@ -113,7 +109,7 @@ def cells(chosen: argparse.Namespace) -> list[Cell]:
     return [cell for cell in found if cell.set_point != "constant" or cell.load == "held"]
 
 
-def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) -> dict[Cell, dict[str, Any]]:
+def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) -> dict[Cell, Row]:
     """Run the same cells with the package of another revision in a worktree, and return their rows."""
     place = WORKTREES / commit_of(revision)[:8]
     worktree(revision, place)
@@ -121,9 +117,8 @@ def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) 
     rows = place / f"tracking-{zlib.crc32(measured_by):08x}.jsonl"
     names = {"--" + name.replace("_", "-"): getattr(chosen, name) for name in ("sensors", "loads", "set_points")}
     options = [str(word) for name, values in names.items() for word in (name, *values)]
-    options += ["--rows", str(rows), "--json", "--compensation", str(chosen.compensation), "--delay", str(chosen.delay)]
+    options += ["--rows", str(rows), "--json", "--processes", str(chosen.processes)]
     run = [sys.executable, str(place / "tools"), "campaign/runaway", "tracking", *options]
-    run += ["--processes", str(chosen.processes)]
     done = subprocess.run(run, cwd=place, capture_output=True, text=True, check=False)
     kept = {cell_of(row): row for row in map(json.loads, done.stdout.splitlines())}
     if not kept.keys() >= set(found):
@@ -131,18 +126,18 @@ def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) 
     return {cell: kept[cell] for cell in found}
 
 
-def missed(row: dict[str, Any], other: dict[str, Any] | None) -> list[str]:
+def missed(row: Row, other: Row | None) -> list[str]:
     """Return the names of the values that miss a goal."""
     names = [name for name, most in MOST.items() if other and name in row and not _ratio(row, other, name) <= most]
     return names + (["loss"] if row.get("loss", 0.0) > MOST_LOSS else [])
 
 
-def _ratio(row: dict[str, Any], other: dict[str, Any], name: str) -> float:
+def _ratio(row: Row, other: Row, name: str) -> float:
     value = float(row[name])
     return value if math.isnan(value) else max(LEAST, value) / max(LEAST, float(other[name]))
 
 
-def table(rows: Sequence[dict[str, Any]], others: dict[Cell, dict[str, Any]], title: str) -> Table:
+def table(rows: Sequence[Row], others: dict[Cell, Row], title: str) -> Table:
     """Return a line for each load and set-point. With `others` each value is followed by its ratio to them."""
     found = Table("load", "set-point", *SENSORS, "missed", title=title, title_justify="left")
     for load, set_point in itertools.product(LOADS, SET_POINTS):
@@ -160,7 +155,7 @@ def table(rows: Sequence[dict[str, Any]], others: dict[Cell, dict[str, Any]], ti
     return found
 
 
-def _words(row: dict[str, Any], other: dict[str, Any] | None, name: str) -> str:
+def _words(row: Row, other: Row | None, name: str) -> str:
     value = f"{row[name]:.1f}"
     if other is None:
         return value
@@ -172,22 +167,14 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS)
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--against", metavar="REV", help="another revision for comparison")
-    command.share(parser, "sensors compensation axis file rows processes json")
-    parser.add_argument("--delay", type=int, default=1, help="periods from measurement to torque (default 1)")
+    command.share(parser, "sensors rows processes json")
 
 
 def run(chosen: argparse.Namespace) -> int:
     """Run the chosen cells, here and on the other revision. Return 1 if a goal was missed."""
     found = cells(chosen)
-    tables = (tomlkit.parse(chosen.axis).unwrap(), tomlkit.parse(chosen.file).unwrap())
     others = reference(chosen.against, found, chosen) if chosen.against else {}
-    setting = (chosen.compensation, chosen.delay)
-    work = functools.partial(play, compensation=chosen.compensation, delay=chosen.delay, tables=tables)
-
-    def key(row: dict[str, Any]) -> Cell | None:
-        return cell_of(row) if (row["compensation"], row["delay"]) == setting else None
-
-    rows = command.run_rows(work, found, key, chosen)
+    rows = command.run_rows(play, found, cell_of, chosen)
     rows = [{**row, "missed": missed(row, others.get(cell_of(row)))} for row in rows]
 
     def shown() -> list[Table | str]:
