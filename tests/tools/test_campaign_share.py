@@ -14,7 +14,7 @@ import pytest
 
 from tools.bench import checks
 from tools.campaign.passive import changes, scan
-from tools.campaign.passive.experiment import SENSORS
+from tools.command import SENSORS
 
 SHARE, SECONDS = 0.02, 5.0  # share of the cases; s of processor time of each campaign
 PROMISED = ("sensor",)  # configurations in which no cell of the scan sustains a motion

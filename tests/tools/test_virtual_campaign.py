@@ -13,8 +13,7 @@ from tools.campaign.phase.catalogue import BY_NAME, HAZARDS
 from tools.campaign.phase.plan import PHASES, Trial, chosen, draw
 from tools.campaign.phase.stage import ACTS, LATCHED, PERIOD, RECOVER_ACT, WATCH, play
 from tools.campaign.phase.verdict import ENERGY, judge, motion
-from tools.manual import hazards
-from tools.manual.hazards import load
+from tools.manual.parts import hazard_results
 from tsa_ctrl.plant.faults import FAULTS, parse_fault
 from tsa_ctrl.safety.causes import REMEDIES
 
@@ -80,11 +79,11 @@ def test_a_fault_is_watched_until_it_latches_or_for_three_seconds(
 
 
 def test_only_what_is_known_to_be_open_was_unsafe_when_the_table_was_made() -> None:
-    found = hazards.load()["hazards"]
+    found = hazard_results()["hazards"]
     assert {name for name, row in found.items() if row["unsafe"]} <= {each.name for each in HAZARDS if each.open}
 
 
 def test_every_recorded_fault_of_the_hazard_catalogue_has_one_cause() -> None:
-    for name, row in load()["hazards"].items():
+    for name, row in hazard_results()["hazards"].items():
         assert len(row["cause_ids"]) == len(row["causes"]), name
         assert set(row["cause_ids"]) <= set(REMEDIES), name

@@ -31,7 +31,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tools import command
-from tools.campaign.passive.experiment import SENSORS
 from tools.campaign.phase.catalogue import HAZARDS
 from tools.campaign.phase.plan import Trial, chosen
 from tools.campaign.phase.results import KEPT, row, summary
@@ -41,15 +40,13 @@ from tools.command import Row
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 
-WORST = 20  # printed trials of each chosen sensor configuration, with the largest energy
-
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--pairs", action="store_true", help="two faults at once: a drawn sample of 500")
     parser.add_argument("--part", default="1/1", metavar="I/N", help="every N-th trial from the I-th on")
     parser.add_argument("--only", action="append", default=[], metavar="TEXT", help="trials with TEXT in their name")
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, help="every trial with each (default: as drawn)")
+    parser.add_argument("--sensors", nargs="+", choices=command.SENSORS, help="default: as drawn")
     command.share(parser, "sample rows seed processes json", rows=Path("virtual.jsonl"), seed=1)
     parser.add_argument("--keep", action="store_true", help="write the summary of all rows for the manual")
     parser.add_argument("--list", action="store_true", help="only print the names of the trials")
@@ -104,16 +101,11 @@ def keep(rows: list[Row], seed: int) -> None:
 
 
 def report(rows: list[Row]) -> Iterator[str]:
-    """Yield a line for each hazard, the worst and the unsafe trials, and the totals."""
+    """Yield a line for each hazard, the unsafe trials, and the totals."""
     found = summary(rows)
     for hazard, each in ((hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found):
         within = "" if each["zero_worst"] is None else f", zero after {1e3 * each['zero_worst']:.0f} ms at most"
         yield f"{hazard.name:42.42} {each['safe']:>4} of {each['trials']:>4} safe{within}"
-    for sensors in SENSORS:
-        mine = [each for each in rows if each["key"].endswith(f"| {sensors}")]
-        for each in sorted(mine, key=lambda row: -float(row["energy"]))[:WORST]:
-            moved = f"{1e3 * each['energy']:.0f} mJ, {each['speed']:.1f} rad/s, {each['travel']:.2f} rad"
-            yield f"{sensors}: {each['key']} ({', '.join(map(str, each['rig']))}): {moved}; {each['cause'][:60]}"
     unsafe = [each for each in rows if each["wrong"]]
     for each in unsafe:
         yield f"unsafe: {each['key']} ({', '.join(map(str, each['rig']))}): {'; '.join(each['wrong'])}"

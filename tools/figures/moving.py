@@ -13,12 +13,14 @@ import argparse
 import math
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
@@ -34,6 +36,7 @@ Columns = dict[str, NDArray[np.float64]]
 
 RUNS = {"without": ("without compensation", look.BACKWARD), "with": ("with compensation", look.FORWARD)}
 MARGIN = 2.0  # s of the run that are not drawn: fade-in and stop
+DPI = 80
 ARM = 2.6  # length of the arm in the drawing, in radii of the joint's pulley
 
 
@@ -97,16 +100,9 @@ def draw(runs: dict[str, Columns], seconds: float, rate: float, out: Path) -> No
     figure, axes = look.grid(len(runs), 2, 6.4, 3.6)
     panels = [Panel(row[0], row[1], runs[name], *RUNS[name], seconds) for row, name in zip(axes, RUNS, strict=True)]
     largest = 1.15 * max(panel.extreme for panel in panels)
-    for drawing, chart in axes:
-        drawing.set_box_aspect(1.0)
+    for _, chart in axes:
         chart.set_ylim(-largest, 1.4 * largest)
-        chart.set_box_aspect(0.42)
-    axes[-1][1].set_xlabel("time (s)")
-    frames = np.arange(0.0, seconds, 1.0 / rate)
-    film = FuncAnimation(
-        figure, lambda t: [artist for panel in panels for artist in panel.show(t)], frames=frames, blit=False
-    )
-    film.save(out, writer=PillowWriter(fps=round(rate)), dpi=100)
+    film(figure, axes, panels, seconds, rate, out)
 
 
 LEG = {"fixed": ("without routing", look.BACKWARD), "with": ("with routing", look.FORWARD)}
@@ -162,14 +158,22 @@ def draw_leg(folder: Path, seconds: float, rate: float, out: Path) -> None:
         run = {joint: {**columns, "t": columns["t"] - columns["t"][0]} for joint, columns in run.items()}
         panels.append(Limb(row[0], row[1], run, *words))
     largest = 1.1 * max(panel.extreme for panel in panels)
+    for _, chart in axes:
+        chart.set(xlim=(0.0, seconds), ylim=(-largest, largest))
+    film(figure, axes, panels, seconds, rate, out)
+
+
+def film(
+    figure: Figure, axes: list[list[Axes]], panels: Sequence[Panel | Limb], seconds: float, rate: float, out: Path
+) -> None:
+    """Write the animation of the panels, with `rate` frames per second."""
     for drawing, chart in axes:
         drawing.set_box_aspect(1.0)
-        chart.set(xlim=(0.0, seconds), ylim=(-largest, largest))
         chart.set_box_aspect(0.42)
     axes[-1][1].set_xlabel("time (s)")
     frames = np.arange(0.0, seconds, 1.0 / rate)
-    film = FuncAnimation(figure, lambda t: [a for panel in panels for a in panel.show(t)], frames=frames, blit=False)
-    film.save(out, writer=PillowWriter(fps=round(rate)), dpi=80)
+    moving = FuncAnimation(figure, lambda t: [a for panel in panels for a in panel.show(t)], frames=frames, blit=False)
+    moving.save(out, writer=PillowWriter(fps=round(rate)), dpi=DPI)
 
 
 def main() -> int:

@@ -31,7 +31,8 @@ import shutil
 import sys
 from typing import NoReturn
 
-from tools.guest import guest, namespace
+from tools.guest import guest
+from tools.guest import link as network
 from tools.guest.guest import GRACE_SECONDS, Limits
 from tools.guest.kernel import UnavailableError, kernel
 from tsa_ctrl.bus.wire import link
@@ -65,8 +66,8 @@ def run(arguments: list[str]) -> int:
     if os.environ.get("TSA_VCAN_ALONE") != "1" and (interface := found_or_created(name)):
         run_here(arguments, interface, limits)
     name = name or DEFAULT
-    if namespace.possible(name):
-        namespace.enter(name)
+    if network.possible(name):
+        network.enter(name)
         run_here(arguments, name, limits)
     return run_in_guest(arguments, name, limits)
 

@@ -37,7 +37,7 @@ import numpy as np
 from rich.table import Table
 
 from tools import command
-from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS, SHARE, Experiment
+from tools.campaign.passive.experiment import INERTIA, SET_POINTS, SHARE, Experiment
 from tools.campaign.passive.judge import (
     GUARD,
     LET_GO,
@@ -50,7 +50,7 @@ from tools.campaign.passive.judge import (
     windows,
 )
 from tools.campaign.passive.scan import RELAXED
-from tools.command import Row
+from tools.command import SENSORS, Row
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault

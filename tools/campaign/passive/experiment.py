@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tools import command
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.demo import rig
@@ -30,7 +29,6 @@ from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import Run
 
 INERTIA = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer": 0.05}  # kg*m^2 of the joint, by load
-SENSORS = command.SENSORS
 SET_POINTS = ("zero", "constant", "sine", "gait")
 SHARE = 0.95  # of the friction term, [axis.law] compensation as shipped
 CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz

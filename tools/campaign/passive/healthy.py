@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from rich.table import Table
 
 from tools import command
-from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
+from tools.campaign.passive.experiment import INERTIA, Experiment
 from tools.campaign.passive.judge import GUARD
-from tools.command import Row
+from tools.command import SENSORS, Row
 
 LOADS = ("imposed", *INERTIA)
 SLICE = 60.0  # s; a log of an hour does not fit into memory

@@ -33,9 +33,9 @@ import numpy as np
 from rich.table import Table
 
 from tools import command
-from tools.campaign.passive.experiment import INERTIA, SENSORS, SHARE, Experiment
+from tools.campaign.passive.experiment import INERTIA, SHARE, Experiment
 from tools.campaign.passive.judge import REST, STILL, most_work, peak_speed, reactions, speed
-from tools.command import Row
+from tools.command import SENSORS, Row
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault

@@ -35,8 +35,8 @@ import numpy as np
 from rich.table import Table
 
 from tools import command
-from tools.campaign.passive.experiment import SENSORS, Experiment
-from tools.command import Row
+from tools.campaign.passive.experiment import Experiment
+from tools.command import SENSORS, Row
 from tools.revision import WORKTREES, commit_of, worktree
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.limiter import Reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from typing import TypeVar
 
 import msgspec
 
@@ -27,6 +28,7 @@ WANTED = {
     "step": SetPointSettings(kind="step", offset=0.2, amplitude=0.4, at=0.3),
 }  # N*m at the joint, within the domain of the tendons
 _replace = msgspec.structs.replace
+Axis = TypeVar("Axis", ControlSettings, AxisSettings)
 
 
 @cache
@@ -48,11 +50,7 @@ def controller_of(draw: Draw, compensation: float | None = None) -> Configuratio
     encoder = axis.encoder if draw.encoder else None
     wanted = WANTED[draw.wanted]
     axis = _replace(axis, setpoint=wanted, law=law, encoder=encoder, torque_sensor=sensor, estimator=estimator)
-    axes = [axis]
-    for place in range(1, draw.axes):
-        axes.append(_another(axis, place))
-    if draw.axes > 1:
-        axes[0] = _replace(axis, drive=_replace(axis.drive, serial_number=1))
+    axes = [axis] if draw.axes == 1 else [_placed(axis, place) for place in range(draw.axes)]
     controller = _replace(file.controller, rate=rate, settle_cycles=SETTLE, stop_time=STOP_TIME)
     file = _replace(file, axes=tuple(axes), controller=controller, log=_replace(file.log, enabled=False))
     (model,) = base.models
@@ -63,13 +61,6 @@ def controller_of(draw: Draw, compensation: float | None = None) -> Configuratio
     return dataclasses.replace(
         base, file=file, models=models, profiles=base.profiles * draw.axes, estimators=estimators
     )
-
-
-def _another(axis: ControlSettings, place: int) -> ControlSettings:
-    drive = _replace(axis.drive, node_id=1 + place, serial_number=1 + place)
-    encoder = axis.encoder and _replace(axis.encoder, node_id=32 + place)
-    sensor = axis.torque_sensor and _replace(axis.torque_sensor, node_id=64 + place)
-    return _replace(axis, name=f"axis {place}", drive=drive, encoder=encoder, torque_sensor=sensor)
 
 
 def plant_of(draw: Draw) -> PlantSettings:
@@ -94,11 +85,9 @@ def plant_of(draw: Draw) -> PlantSettings:
     return _replace(base, physics=physics, axis=[_placed(axis, place) for place in range(draw.axes)])
 
 
-def _placed(axis: AxisSettings, place: int) -> AxisSettings:
-    return _replace(
-        axis,
-        name=f"axis {place}",
-        drive=_replace(axis.drive, node_id=1 + place, serial_number=1 + place),
-        encoder=_replace(axis.encoder, node_id=32 + place),
-        torque_sensor=_replace(axis.torque_sensor, node_id=64 + place),
-    )
+def _placed(axis: Axis, place: int) -> Axis:
+    """Return an axis of the controller or the plant with the nodes of its place on the bus."""
+    drive = _replace(axis.drive, node_id=1 + place, serial_number=1 + place)
+    encoder = axis.encoder and _replace(axis.encoder, node_id=32 + place)
+    sensor = axis.torque_sensor and _replace(axis.torque_sensor, node_id=64 + place)
+    return _replace(axis, name=f"axis {place}", drive=drive, encoder=encoder, torque_sensor=sensor)

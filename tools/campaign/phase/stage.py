@@ -129,7 +129,6 @@ class Seen:
         asked: Time of the last request for torque, or 0 for startup.
         stopped: Time at which a stop was requested, or infinity.
         faults, cause_ids: Texts and identifiers of the faults.
-        said: Texts of the other events.
         refused: Text of a TsaError of the daemon, or "".
         crashed: Any other exception of the daemon, or "".
     """
@@ -142,7 +141,6 @@ class Seen:
     stopped: float
     faults: tuple[str, ...]
     cause_ids: tuple[str, ...]
-    said: tuple[str, ...]
     refused: str
     crashed: str
 
@@ -226,8 +224,8 @@ class Stage:
         _, settings = parse_fault(line)
         self.machine.begin_fault(None, settings, self.wire.now)
 
-    def play(self, trial: Trial | None) -> Seen:
-        """Run the trial. Without a trial, start the rig, apply torque for the same time, and stop."""
+    def play(self, trial: Trial) -> Seen:
+        """Run the trial."""
         self.machine.start()
         refused = crashed = ""
         script = _Script(self, trial)
@@ -256,7 +254,6 @@ class Stage:
             self.stopped,
             tuple(event.text for event in events if event.fault),
             tuple(event.cause_id for event in events if event.fault),
-            tuple(event.text for event in events if not event.fault),
             refused,
             crashed,
         )
@@ -275,15 +272,11 @@ class Stage:
     def faulted(self) -> bool:
         return self.loop.phase is LoopPhase.FAULTED
 
-    @property
-    def ended(self) -> bool:
-        return self.loop.phase in (LoopPhase.STOPPING, LoopPhase.ENDED)
-
 
 class _Script:
     """The steps of a trial, run by a generator that yields between two checks of the phase."""
 
-    def __init__(self, stage: Stage, trial: Trial | None) -> None:
+    def __init__(self, stage: Stage, trial: Trial) -> None:
         self._stage = stage
         self._trial = trial
         self._first_event = 0  # number of the first event after the fault
@@ -302,11 +295,6 @@ class _Script:
 
     def _story(self) -> Iterator[bool]:
         stage, trial = self._stage, self._trial
-        if trial is None:
-            yield from self._until(lambda: stage.enabled)
-            yield from self._wait(READY + LATCHED + AFTER)
-            stage.stop()
-            return
         yield from self._reach(trial)
         offset = trial.moment / MOMENTS * 1e-3
         hazards = [BY_NAME[name] for name in trial.names]
