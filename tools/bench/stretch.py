@@ -1,16 +1,15 @@
 """Identify stiffness and shape of random rigs, and verify the joint torque from the tendon elongation.
 
-Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--rows FILE] [--json]
+Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--rows FILE] [--json]
 
 Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness. Its sheath has an even or a
-double bend with a centre of up to s_c = 0.7. Motor inertia and delay are random. The log is a gait of 6 s. With a joint
-torque sensor the fit of `tsa calibrate --stretch` identifies stiffness and curvature profile. Without a sensor it
-identifies only the stiffness, and the true profile is given.
+double bend with a centre of up to s_c = 0.7. Motor inertia and delay are random. The log is a gait of 6 s, from which
+the fit of `tsa calibrate --stretch` identifies stiffness and curvature profile.
 
 Then the observer runs on a locked joint, a weight, and the gait with other noise, and is compared with the distributed
 plant. Errors are RMS values after 1.5 s, divided by the RMS torque. On average over the rigs, the band should contain
 95 % of the samples. The share of one rig varies, because the remaining errors of stiffness and profile are constant.
-With a sensor each run is also evaluated with the true profile, which excludes the error of the identified profile.
+Each run is also evaluated with the true profile, which excludes the error of the identified profile.
 --rows keeps each finished rig in a file, so that a long list can be run in parts.
 """
 
@@ -18,7 +17,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from rich.table import Table
 from tests.virtual.joints import GAIT, rms, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
+from tools.command import Row
 from tsa_ctrl.demo.rig import gait
 from tsa_ctrl.identify.calibrate.stretch import StretchFit, fit_stretch
 from tsa_ctrl.identify.dataset import Dataset
@@ -38,7 +38,6 @@ from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.simulation import simulate_loop
 
-KEY = ("seed", "rig", "sensor")  # key of a result
 SETTLED = 1.5  # s of a log that are excluded from the errors
 MOST_CENTRE = 0.7
 COUNTS = (2.0 * math.pi / 65_536, 2.0 * math.pi / 1_048_576)  # rad
@@ -48,6 +47,14 @@ RUNS: dict[str, tuple[str, dict[str, Any], float]] = {
     "gait": ("imposed", GAIT, 4.0),
     "held": ("held", sine(0.5, 0.5), 4.5),
     "weight": ("weight", sine(0.5, 0.5), 4.5),
+}
+
+
+KINDS = {
+    "sliding": "sliding",
+    "all": "all samples",
+    "sliding_told": "true profile: sliding",
+    "all_told": "true profile: all samples",
 }
 
 
@@ -91,17 +98,13 @@ def play(
     return simulate_loop(folder / "controller.toml", folder / "plant.toml", seconds, seed=seed).axes[0]
 
 
-def identify(
-    result: AxisResult, nominal: TendonSheath, bends: Profile, sensor: bool, course_told: bool = False
-) -> StretchFit:
-    """Identify stiffness and shape from a run. Without a sensor or with `course_told`, the true profile is given."""
-    names = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j") if sensor else (
-        "t", "tau_m", "q_m", "q_j", "omega_m", "omega_j",
-    )  # fmt: skip
+def identify(result: AxisResult, nominal: TendonSheath, bends: Profile | None = None) -> StretchFit:
+    """Identify stiffness and shape from a run. With `bends`, the shape is given."""
+    names = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j")
     kept = result.log["t"] < result.until
     kept &= np.all([np.isfinite(result.log[name]) for name in names], axis=0)
     log = Dataset.from_arrays({name: result.log[name][kept] for name in names}, "gait")
-    if course_told or not sensor:
+    if bends is not None:
         nominal = nominal.with_effects({"elongation_coupling": {"curvature_profile": bends.points}})
     return fit_stretch([log], nominal)
 
@@ -131,83 +134,69 @@ def verify(result: AxisResult, model: TendonSheath, inertia: float) -> dict[str,
     }
 
 
-def trial(seed: int, number: int, sensor: bool) -> dict[str, Any]:
-    """Return the identified parameters of one rig, and the observer's errors in each run."""
+def trial(asked: tuple[int, int]) -> Row:
+    """Return the identified parameters of one rig, by seed and number, and the observer's errors in each run."""
+    seed, number = asked
     rig, bends = draw(seed, number), shape(seed, number)
     with tempfile.TemporaryDirectory(prefix="bench-stretch-") as name:
         folder = Path(name)
         seen = play(folder, rig, bends, "imposed", GAIT, 6.0, 1)
-        found = identify(seen, rig.nominal, bends, sensor)
-        told = identify(seen, rig.nominal, bends, sensor, course_told=True) if sensor else None
+        found = identify(seen, rig.nominal)
+        told = identify(seen, rig.nominal, bends)
         runs = {}
         for label, (load, setpoint, seconds) in RUNS.items():
             result = play(folder, rig, bends, load, setpoint, seconds, 2)
             runs[label] = verify(result, found.model, found.motor_inertia.value)
-            if told is not None:
-                again = verify(result, told.model, told.motor_inertia.value)
-                runs[label] |= {f"{key}_told": again[key] for key in ("sliding", "all")}
+            again = verify(result, told.model, told.motor_inertia.value)
+            runs[label] |= {f"{key}_told": again[key] for key in ("sliding", "all")}
+    assert found.centre is not None
     stiffness, true = found.axial_stiffness, rig.truth.axial_stiffness
-    row: dict[str, Any] = {
+    return {
         "seed": seed,
         "rig": number,
-        "sensor": sensor,
         "stiffness": stiffness.value / true,
         "stiffness_held": stiffness.low <= true <= stiffness.high,
         "stiffness_half": (stiffness.high / stiffness.low - 1.0) / 2.0,
         "inertia": found.motor_inertia.value / rig.inertia,
         "true_centre": bends.centre,
         **{f"{label}_{key}": value for label, values in runs.items() for key, value in values.items()},
+        "centre": found.centre.value,
+        "centre_held": found.centre.low <= bends.centre <= found.centre.high,
+        "centre_half": 0.5 * (found.centre.high - found.centre.low),
     }
-    if found.centre is not None:
-        row |= {
-            "centre": found.centre.value,
-            "centre_held": found.centre.low <= bends.centre <= found.centre.high,
-            "centre_half": 0.5 * (found.centre.high - found.centre.low),
-        }
-    return row
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     command.share(parser, "rigs first seed rows processes json", rigs=30, seed=1)
-    parser.add_argument(
-        "--without-sensor", action="store_true", help="use no joint torque sensor; the true curvature profile is given"
-    )
     arguments = parser.parse_args()
     numbers = range(arguments.first, arguments.first + arguments.rigs)
-    asked = [(arguments.seed, number, not arguments.without_sensor) for number in numbers]
-    rows = command.run_rows(_trial, asked, lambda row: tuple(row.get(key) for key in KEY), arguments)
+    asked = [(arguments.seed, number) for number in numbers]
+    rows = command.run_rows(trial, asked, lambda row: (row["seed"], row["rig"]), arguments)
     command.print_tables(rows, arguments, lambda: report(rows))
     return 0
 
 
-def _trial(asked: tuple[int, int, bool]) -> dict[str, Any]:
-    return trial(*asked)
-
-
-def report(rows: list[dict[str, Any]]) -> Iterator[Table | str]:
+def report(rows: list[Row]) -> Iterator[Table | str]:
     """Yield the table of the relative errors, as median (worst) of the rigs, and then the coverage of the intervals."""
-    kinds = {"sliding": "sliding", "all": "all samples"}
-    if "gait_all_told" in rows[0]:
-        kinds |= {"sliding_told": "course told: sliding", "all_told": "course told: all"}
-    table = Table("run", "rigs", *kinds.values(), "worst sliding is", "in the band (of a rig)", "half the band")
+    lines = []
     for label in RUNS:
         ran = [row for row in rows if math.isfinite(row[f"{label}_sliding"])]
         if ran:
-            table.add_row(label, f"{len(ran)} of {len(rows)}", *_cells(ran, label, kinds))
-    yield table
+            lines.append((label, f"{len(ran)} of {len(rows)}", *_cells(ran, label)))
+    heads = ("worst sliding error", "samples in the 95 % band (lowest to highest rig)", "half width of the band")
+    yield command.table(("run", "rigs", *KINDS.values(), *heads), lines)
     for name in ("stiffness", "centre"):
-        if f"{name}_held" in rows[0]:
-            held = sum(row[f"{name}_held"] for row in rows)
-            half = np.median([row[f"{name}_half"] for row in rows])
-            yield f"{name}: {held} of {len(rows)} intervals hold the truth; half an interval {half:.3g} (median)"
+        held = sum(row[f"{name}_held"] for row in rows)
+        half = np.median([row[f"{name}_half"] for row in rows])
+        yield f"{name}: {held} of {len(rows)} intervals hold the truth; half an interval {half:.3g} (median)"
 
 
-def _cells(rows: list[dict[str, Any]], label: str, kinds: Iterable[str]) -> list[str]:
+def _cells(rows: list[Row], label: str) -> list[str]:
     share, size = max((row[f"{label}_sliding"], 1e3 * row[f"{label}_torque"]) for row in rows)
     held = 100.0 * np.array([row[f"{label}_held_by_band"] for row in rows])
     return [
-        *(_spread([row[f"{label}_{kind}"] for row in rows]) for kind in kinds),
+        *(_spread([row[f"{label}_{kind}"] for row in rows]) for kind in KINDS),
         f"{share * size:.1f} of {size:.0f} mN·m",
         f"{held.mean():.1f} % ({held.min():.0f} to {held.max():.0f})",
         _spread([row[f"{label}_band"] for row in rows]),

@@ -1,6 +1,6 @@
 """Take a picture of `tsa dashboard` during a demo with a headless Chromium.
 
-Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8] [--width 390 --width 900]
+Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8] [--width 1100]
 
 The command starts the demo, the dashboard on the daemon's socket, and Chromium.
 """
@@ -48,7 +48,7 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--out", type=Path, default=command.ROOT / ".readme" / "dashboard.png")
     parser.add_argument("--seconds", type=float, default=8.0, help="of motion before the picture")
-    parser.add_argument("--width", type=int, action="append", help="px; with several, one picture each (default 1100)")
+    parser.add_argument("--width", type=int, default=1100, help="px")
     options = parser.parse_args()
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
@@ -65,11 +65,8 @@ def main() -> int:
                     page.open(address)
                     page.until("document.getElementById('phase')?.textContent === 'running'")
                     time.sleep(options.seconds)
-                    widths = options.width or [1100]
-                    for width in widths:
-                        out = options.out if len(widths) == 1 else options.out.with_stem(f"{options.out.stem}-{width}")
-                        page.resize(width)
-                        time.sleep(1.0)  # the charts have the new width after the next redraw
-                        page.picture(out, width, page.evaluate("document.body.scrollHeight"))
-                        print(out)
+                    page.resize(options.width)
+                    time.sleep(1.0)  # the charts have the new width after the next redraw
+                    page.picture(options.out, options.width, page.evaluate("document.body.scrollHeight"))
+    print(options.out)
     return 0

@@ -72,20 +72,7 @@ def main() -> int:
         return 0
     model = load_tendon_sheath(data / "actuator.toml")
     logs = {path.name: columns(load_log(path), model) for path in sorted(Path(data).glob("load*.csv.gz"))}
-    everything = rows(list(logs.values()), ())[1]
     found = [(label, *(f"{left_out(logs, names, split):.1f}" for split in FOLDS)) for label, names in LINES.items()]
-    command.print_table(("tau_J by", "load left out, mN·m", "frequency left out, mN·m"), found)
-    names = LINES["stretch, motor torque and joint angle"]
-    numbers = np.linalg.lstsq(*rows(list(logs.values()), names), rcond=None)[0]
-    ratio = -numbers[1] * model.motor_pulley_radius / model.joint_pulley_radius  # s_c / (1 - s_c)
-    centre = ratio / (1.0 + ratio)
-    stiffness = numbers[0] * (1.0 - centre) / (2.0 * model.joint_pulley_radius)
-    count = 2.0 * np.pi * np.hypot(model.motor_pulley_radius / 8192, model.joint_pulley_radius / 4000) / np.sqrt(12.0)
-    print(
-        f"measured torque: {1e3 * np.sqrt(np.mean(everything**2)):.1f} mN·m RMS. The last line on all trials: "
-        f"P = {numbers[0]:.0f} N, Q = {-numbers[1]:.2f}, that is s_c = {centre:.2f} and k_t = "
-        f"{1e-3 * stiffness:.1f} kN/m; {1e3 * numbers[2]:.0f} mN·m/rad of the joint's angle; the encoders' counts make "
-        f"{1e3 * numbers[0] * count:.2f} mN·m of the error"
-    )
+    command.print_table(("regressors of tau_J", "load left out, mN·m", "frequency left out, mN·m"), found)
     print("data: O'Neill, Stephens, Kowalewski, IEEE RA-L 3(4):3027-3034, 2018 (Open Database License 1.0)")
     return 0
