@@ -26,7 +26,6 @@ def run(command: list[str], environment: dict[str, str], stdin: bytes = b"") -> 
     ("command", "environment", "status", "message"),
     [
         ([], {}, 2, "usage: tools/vcan COMMAND [ARGUMENT...]"),
-        (["--fast", "true"], {}, 2, "usage: tools/vcan COMMAND [ARGUMENT...]"),
         (["no-such-command"], {}, 127, "no-such-command: no such command"),
         (["true"], {"TSA_VCAN_TIMEOUT": "soon"}, 2, "TSA_VCAN_TIMEOUT=soon: a number of seconds"),
         (["true"], {"TSA_VCAN_MEMORY": "64M"}, 2, "TSA_VCAN_MEMORY=64M: a size from 128M on"),

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import random
-
 import pytest
 
-from tools.campaign.passive.judge import windows
-from tools.campaign.phase import stage
 from tools.campaign.phase.catalogue import BY_NAME, HAZARDS
-from tools.campaign.phase.plan import PHASES, Trial, chosen, draw
-from tools.campaign.phase.stage import ACTS, LATCHED, PERIOD, RECOVER_ACT, WATCH, play
-from tools.campaign.phase.verdict import ENERGY, judge, motion
+from tools.campaign.phase.plan import PHASES, chosen
+from tools.campaign.phase.stage import ACTS, RECOVER_ACT
+from tools.campaign.phase.verdict import judge
 from tools.manual.parts import hazard_results
 from tsa_ctrl.plant.faults import FAULTS, parse_fault
 from tsa_ctrl.safety.causes import REMEDIES
@@ -46,36 +41,6 @@ def test_a_sample_is_safe(phase: str) -> None:
     trials = [trial for trial in drawn if not BY_NAME[trial.names[0]].open]
     for trial in trials[:1]:
         assert (trial.key, trial.draw, judge(trial).wrong) == (trial.key, trial.draw, ())
-
-
-def healthy(load: str, wanted: str) -> Trial:
-    """Return a trial without a fault, of one axis with all sensors."""
-    rig = draw(random.Random(1))
-    return Trial((), "running", 0, 0.0, dataclasses.replace(rig, load=load, wanted=wanted, axes=1, sensor=True))
-
-
-@pytest.mark.slow
-def test_the_work_of_the_set_point_is_subtracted() -> None:
-    """A sine moves a free joint. Its work is above the limit, but the excess work is far below it."""
-    seen, _ = play(healthy("free", "sine"), watch=0.6)
-    assert seen.injected is not None
-    (truth,) = seen.axes
-    on = truth["clock"] >= seen.injected
-    assert windows((truth["tau_j"] * truth["omega_j"])[on] * PERIOD).max() > ENERGY
-    assert motion(seen.axes, seen.injected).energy < 0.01 * ENERGY
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "watched"), [("EMCY without a fault", LATCHED), ("error frame: error passive", 0.6)])
-def test_a_fault_is_watched_until_it_latches_or_for_three_seconds(
-    name: str, watched: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Here 0.6 s replace the three seconds."""
-    assert WATCH == 3.0
-    monkeypatch.setattr(stage, "WATCH", 0.6)
-    trial = dataclasses.replace(healthy("held", "constant"), names=(name,))
-    seen, _ = play(trial)
-    assert seen.watch == pytest.approx(watched, abs=0.01)
 
 
 def test_only_what_is_known_to_be_open_was_unsafe_when_the_table_was_made() -> None:
