@@ -16,7 +16,7 @@ import random
 import secrets
 import subprocess
 import sys
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -28,7 +28,6 @@ CONFIG = ROOT / "config"
 MOST_PROCESSES = 2
 PROCESSORS = min(MOST_PROCESSES, len(os.sched_getaffinity(0)))
 SENSORS = ("motor", "encoder", "sensor")  # no joint sensor; joint encoder; joint encoder and joint torque sensor
-WORST = 20  # rows in a list of the worst rows
 
 Row = dict[str, Any]
 Item = TypeVar("Item")
@@ -58,14 +57,10 @@ SHARED: dict[str, dict[str, Any]] = {  # options of several commands
 }
 
 
-ALIASES = {"rows": ("--results", "--out"), "processes": ("--jobs",)}
-
-
 def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> None:
     """Add shared options by their names. `defaults` replaces their default values."""
     for name in names.split():
-        aliases = ALIASES.get(name, ())
-        parser.add_argument(f"--{name}", *aliases, dest=name, **SHARED[f"--{name}"])
+        parser.add_argument(f"--{name}", **SHARED[f"--{name}"])
     parser.set_defaults(**defaults)
 
 
@@ -259,46 +254,11 @@ def table(head: Sequence[str], lines: Iterable[Sequence[object]], title: str | N
     return found
 
 
-Columns = Mapping[str, Callable[[Row], object]]  # function that returns the cell of a row, by column head
-
-
-def listing(title: str, rows: Iterable[Row], columns: Columns) -> Table:
-    """Return a table with a line for each row."""
-    return table(tuple(columns), ([cell(row) for cell in columns.values()] for row in rows), title)
-
-
-def worst(rows: Iterable[Row], by: str, columns: Columns) -> list[Table]:
-    """Return a table for each sensor configuration, with the rows that have the largest values of `by`."""
-    of: dict[str, list[Row]] = {}
-    for row in sorted(rows, key=lambda row: -float(row[by])):
-        of.setdefault(row["sensors"], []).append(row)
-    return [listing(f"{WORST} worst, {name}", those[:WORST], columns) for name in SENSORS if (those := of.get(name))]
-
-
-def seconds_of(key: str, digits: int = 3) -> Callable[[Row], str | None]:
-    """Return a cell for a time that may be missing."""
-    return lambda row: None if row[key] is None else f"{row[key]:.{digits}f}"
-
-
 def print_table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
     """Print a table, up to 250 characters wide if the output is not a terminal."""
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else 250).print(table(head, lines))
-
-
-def print_goals(rows: Sequence[Row]) -> None:
-    """Print a table of rows with "what", "goal" and "found". A goal is met by a value of at most the goal."""
-    lines = [(row["what"], f"{row['goal']:.1f}", f"{row['found']:.1f}", row["found"] <= row["goal"]) for row in rows]
-    print_table(("row", "goal", "measured", "met"), lines)
-
-
-def show(rows: Sequence[Row], keys: Sequence[str], as_json: bool) -> None:
-    """Print one JSON object per line, or a table with these keys as columns."""
-    if as_json:
-        print("\n".join(map(json.dumps, rows)), flush=True)
-    else:
-        print_table([key.replace("_", " ") for key in keys], [[row.get(key) for key in keys] for row in rows])
 
 
 def _cell(value: object) -> str:

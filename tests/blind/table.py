@@ -18,7 +18,7 @@ SIGNIFICANT = 0.02  # a gate with few cases fails only if chance does not explai
 Result = dict[str, Any]
 
 
-def print_table(results: Sequence[Result], timings: Sequence[float] = ()) -> None:
+def print_table(results: Sequence[Result]) -> None:
     """Print all results of the benchmark on stdout."""
     _row("draws", "target", "found", "95 % interval", "the target is", STRATEGIES)
     for target in (*TARGETS, *FURTHER):
@@ -26,8 +26,6 @@ def print_table(results: Sequence[Result], timings: Sequence[float] = ()) -> Non
     _gains(results)
     _coverage(results)
     _per_name(results)
-    if timings:
-        print(f"\n60 s at 1 kHz: {', '.join(f'{t:.1f} s' for t in timings)} (target: < 10 s)")
     seconds = [r["seconds"] for r in results if r.get("seconds") is not None]
     if seconds:
         print(f"seconds per diagnosis: median {np.median(seconds):.1f}, longest {max(seconds):.1f}")

@@ -24,14 +24,14 @@ LINES = {
     f"campaign/runaway loss {WEIGHT} --set-points constant --changes friction=0.1 --at 1": "1 runs",
     f"campaign/runaway scan {WEIGHT} --shares 1.0 --set-points zero --seed 1": "1 cells, 0 missed",
     "campaign/runaway tracking --sensors encoder --loads held --set-points constant": "loss (%)",
-    "campaign/virtual --sample 1 --only running --out {out}/rows.jsonl": "1 trials, 1 safe",
+    "campaign/virtual --sample 1 --only running --rows {out}/rows.jsonl": "1 trials, 1 safe",
     "manual/measure --list": "virtual-speed",
     "manual/write --check": "",
 }
 LONG = {
     "bench/axes --virtual --seconds 1": "2 axes, lean, encoders and torque sensors",
-    "bench/calibrate --logs 9 --jobs 1": "share of 95 % intervals",
-    "bench/diagnose --short --families none:1 --jobs 1 --out {out}/rows.jsonl": "none",
+    "bench/calibrate --logs 9 --processes 1": "share of 95 % intervals",
+    "bench/diagnose --short --families none:1 --processes 1 --out {out}/rows.jsonl": "none",
     "bench/hour --seconds 60 --kinds csv": "MB",
     "bench/measured --list": "above its limit",
     "bench/leg --only runaway": "free, encoder",

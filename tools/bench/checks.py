@@ -1,7 +1,7 @@
 """Measure the detection time of faults of motor, encoder and tendon, and the energy that the joint receives until then.
 
 Usage: tools/run bench/checks [--loads held weight imposed limb] [--faults NAME ...] [--sensors motor encoder sensor]
-                              [--set-points sine constant] [--calibrated] [--sample N] [--worst] [--results FILE]
+                              [--set-points sine constant] [--calibrated] [--sample N] [--rows FILE]
 
 The shipped actuator runs with true parameters in virtual time. With two encoders the estimator is "stretch". Sensors:
 "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder, and "sensor" has both. A
@@ -13,7 +13,7 @@ axis has latched, 3 s after the fault, or 6 s after a fault that develops slowly
   given   the largest work on the joint in any window, less the work of the set-point, from the fault until the torque
           is off or the run ends
 
---json also prints the work until the first report. --worst adds the 20 worst trials of each configuration.
+--json also prints the work until the first report.
 
 If k_t of (3.56) differs from the file, the elongation is wrong from the first torque, and the times start there. If the
 lever p + d/2 differs, only the pretension is wrong, after the wrap angle has changed by a fifth between 1 s and 4 s. In
@@ -99,15 +99,6 @@ KEY = ("fault", "load", "sensors", "set_point", "calibrated")
 # Half widths of the intervals of the stiffness and of the centre of the bends, 1, as bench/stretch prints them. Their
 # minima are MODEL and COURSE_FOUND in identify/calibrate/stretch.py.
 CALIBRATED = (0.006, 0.002)
-LISTED: command.Columns = {
-    "fault": lambda row: row["fault"],
-    "load": lambda row: row["load"],
-    "set-point": lambda row: row["set_point"],
-    "given (mJ)": lambda row: f"{row['given']:.0f}",
-    "peak (rad/s)": lambda row: f"{row['peak']:.1f}",
-    "reported (s)": command.seconds_of("told", 2),
-    "latched (s)": command.seconds_of("latched", 2),
-}
 NONE = 0.02  # N*m; a smaller motor torque counts as zero
 
 
@@ -202,15 +193,13 @@ def main() -> int:
         "--calibrated", action="store_true", help="uncertainty of stiffness and bends after a calibration"
     )
     command.share(parser, "sensors sample seed rows processes json")
-    parser.add_argument("--worst", action="store_true", help="also print the 20 worst of each sensor configuration")
     arguments = parser.parse_args()
     every = combinations(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)
     wanted = command.drawn([(*each, arguments.calibrated) for each in every], arguments)
     rows = command.run_rows(_trial, wanted, lambda row: tuple(row[name] for name in KEY), arguments)
 
     def shown() -> list[Table | str]:
-        more = command.worst(rows, "given", LISTED) if arguments.worst else []
-        return [*tables(rows, arguments), *more, f"{len(rows)} trials; seed {arguments.seed}"]
+        return [*tables(rows, arguments), f"{len(rows)} trials; seed {arguments.seed}"]
 
     command.print_tables(rows, arguments, shown)
     return 0

@@ -73,7 +73,9 @@ def main() -> int:
                 cycle = (client.ask(protocol.Status())["work"]["p99"] or 0.0) * rate
     if not options.json:
         print(f"{bus.name}, loop {rate:g} Hz, client {options.client_rate:g} Hz, cycle {cycle:.2f}; in periods:")
-    command.show(rows, ("beside", "p50", "p99", "worst", "changes"), options.json)
+    keys = ("beside", "p50", "p99", "worst", "changes")
+    lines = ([row[key] for key in keys] for row in rows)
+    command.print_tables(rows, options, lambda: [command.table(("other clients", *keys[1:]), lines)])
     return 0 if rows[0]["p99"] <= 1.0 + cycle else 1
 
 

@@ -152,15 +152,6 @@ def run(queue: list[Job], processes: int, results: Results, version: str) -> Non
             print(f"{done}/{len(queue)}, {left / 60:.0f} min left", file=sys.stderr)
 
 
-def timing(seed: int) -> list[float]:
-    """Return the durations of three diagnoses of one log of 60 s at 1 kHz, s."""
-    seconds = []
-    for k in range(3):
-        hidden = case("timing", "stribeck_friction", seed + k)
-        seconds.append(ask(hidden.logs, hidden.model)[1])
-    return seconds
-
-
 def speed(seed: int) -> None:
     """Print the duration of `tsa diagnose` on CSV files of 60 s at 1 kHz, from process start to process end."""
     for name in ("stribeck_friction", "presliding_hysteresis", "thermal_friction_drift"):
@@ -189,7 +180,8 @@ def main() -> int:
     parser.add_argument("--short", action="store_true", help="short logs: 12 to 20 s, one run")
     parser.add_argument("--families", nargs="+", metavar="FAMILY[:N]", help=f"of {', '.join(FULL)}; N per name")
     parser.add_argument("--names", nargs="+", default=[], help="only these effects, kinds or rows")
-    command.share(parser, "processes seed rows", processes=command.MOST_PROCESSES, seed=0)
+    command.share(parser, "processes seed", processes=command.MOST_PROCESSES, seed=0)
+    parser.add_argument("--rows", "--out", type=Path, help="JSON lines of finished runs, which are not run again")
     parser.add_argument("--list", action="store_true", help="only print the table of the results in --rows")
     parser.add_argument(
         "--speed", action="store_true", help="only measure the time that `tsa diagnose` takes for 60 s at 1 kHz"
@@ -216,7 +208,7 @@ def main() -> int:
         print(f"{len(queue)} cases to run, {len(wanted) - len(queue)} known; results in {out}", file=sys.stderr)
         run(queue, arguments.processes, results, version)
     rows = [results[job] for job in wanted if job in results]
-    print_table(rows, [] if arguments.list or arguments.quick else timing(arguments.seed))
+    print_table(rows)
     errors = Counter(row["error"] for row in rows if row["error"])
     for error, count in errors.most_common(10):
         print(f"ERROR {count} times: {error}")

@@ -1,6 +1,6 @@
 """Measure how the angles of both pulleys improve a diagnosis, by the groups that become single causes and that remain.
 
-Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--shapes joint even motor] [--names ROW:SHAPE ...]
+Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--names ROW:SHAPE ...]
                                     [--by-row] [--rows FILE] [--processes 1]
 
 The effects of each row of the catalogue's indistinguishable effects are hidden in short logs
@@ -18,7 +18,7 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
-from tests.blind.two_encoders import NOTHING, SHAPES, names, two_encoder_case, without_motor_angle
+from tests.blind.two_encoders import NOTHING, names, two_encoder_case, without_motor_angle
 from tools import command
 from tools.bench.diagnose import ask
 from tools.command import Row
@@ -81,14 +81,10 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--draws", type=int, default=2, help="of each row and shape")
     parser.add_argument("--names", nargs="+", choices=names(), metavar="ROW:SHAPE", default=list(names()))
-    parser.add_argument(
-        "--shapes", nargs="+", choices=SHAPES, default=list(SHAPES), help="only sheaths that bend there"
-    )
     parser.add_argument("--by-row", action="store_true", help="a line of the table for each row, not for each shape")
     command.share(parser, "seed rows processes json", seed=0)
     arguments = parser.parse_args()
     jobs = [(name, arguments.seed + draw) for draw in range(arguments.draws) for name in arguments.names]
-    jobs = [job for job in jobs if job[0].partition(":")[2] in arguments.shapes]
     rows = command.run_rows(one, jobs, lambda row: (row["name"], row["seed"]), arguments)
     command.print_tables(rows, arguments, lambda: report(rows, arguments.by_row))
     return 0

@@ -39,7 +39,9 @@ def main() -> int:
     for name in options.parts or PARTS:
         rows.append(row_of(PARTS[name](options.frames, options.seed)))
         print(f"{name}: {rows[-1]['inputs']} inputs, {rows[-1]['counts']}", file=sys.stderr, flush=True)
-    command.show(rows, ("part", "inputs", "growth_mib", "left_open", "problems"), options.json)
+    lines = ((row["part"], row["inputs"], row["growth_mib"], row["left_open"], len(row["problems"])) for row in rows)
+    heads = ("part", "inputs", "growth (MiB)", "left open", "problems")
+    command.print_tables(rows, options, lambda: [command.table(heads, lines)])
     problems = [f"{row['part']}: {text}" for row in rows for text in row["problems"]]
     print("\n".join([*problems, f"{sum(row['inputs'] for row in rows)} inputs, {len(problems)} problems"]))
     return 1 if problems else 0

@@ -149,7 +149,8 @@ def main() -> int:
 
     chosen = [path for path in TARGETS if not options.modules or any(part in path for part in options.modules)]
     rows = [score(path, options.sample) for path in chosen]
-    command.show(rows, ("module", "mutants", "killed", "score"), options.json)
-    for row in [] if options.json else rows:
-        print("\n".join(f"{row['module']}:{name}" for name in row["survived"]))
+    heads = ("module", "mutants", "killed", "score")
+    survivors = (f"{row['module']}:{name}" for row in rows for name in row["survived"])
+    table = command.table(heads, ([row[head] for head in heads] for row in rows))
+    command.print_tables(rows, options, lambda: [table, *survivors])
     return 0

@@ -30,7 +30,7 @@ import dataclasses
 import functools
 import itertools
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +70,7 @@ CHANGES = {
     "torque_gain": (1.4, 2.0),
 }
 LOSSES = (("pretension", 0.5), ("friction", 0.1), ("torque_gain", 1.4), ("torque_gain", 2.0))
+WORST = 20  # rows in a list of the worst rows
 LOSS_TITLE = "loss: worst work added (mJ) before; once both directions have slid"
 
 
@@ -238,7 +239,7 @@ def table(rows: Sequence[Row]) -> Table:
     return command.table((*heads, "latched", "missed", "at rest (rad/s; N·m)"), lines, "changes")
 
 
-LISTED: command.Columns = {
+LISTED: dict[str, Callable[[Row], object]] = {  # function that returns the cell of a row, by column head
     "sensors": lambda row: row["sensors"],
     "load": lambda row: row["load"],
     "set-point": lambda row: row["set_point"],
@@ -249,12 +250,30 @@ LISTED: command.Columns = {
     "added (mJ)": lambda row: f"{1e3 * row['added']:.1f}",
     "c = 0 (mJ)": lambda row: f"{1e3 * row['work_without']:.1f}" if "work_without" in row else None,
     "peak (rad/s)": lambda row: f"{row['peak']:.1f}",
-    "reported (s)": command.seconds_of("reported"),
-    "latched (s)": command.seconds_of("latched"),
+    "reported (s)": lambda row: _seconds(row["reported"]),
+    "latched (s)": lambda row: _seconds(row["latched"]),
     "after (mJ)": lambda row: None if row["acted"] is None else f"{1e3 * row['after']:.1f}",
     "late (mJ)": lambda row: f"{1e3 * row['late_added']:.1f}",
     "report": lambda row: textwrap.shorten(row["words"].split(";")[0].split(":")[0], 34, placeholder=" ..."),
 }
+
+
+def _seconds(time: float | None) -> str | None:
+    return None if time is None else f"{time:.3f}"
+
+
+def listing(title: str, rows: Iterable[Row]) -> Table:
+    """Return a table with a line for each row."""
+    return command.table(tuple(LISTED), ([cell(row) for cell in LISTED.values()] for row in rows), title)
+
+
+def worst(rows: Sequence[Row]) -> list[Table]:
+    """Return a table for each sensor configuration, with the rows that have the largest added work."""
+    ordered = sorted(rows, key=lambda row: -float(row["added"]))
+    return [
+        listing(f"{WORST} worst, {sensors}", those[:WORST])
+        for (sensors,), those in command.parts(ordered, sensors=SENSORS)
+    ]
 
 
 def losses(rows: Sequence[Row]) -> Table:
@@ -297,10 +316,8 @@ def run(chosen: argparse.Namespace) -> int:
     def tables(rows: list[Row]) -> list[Table | str]:
         changed = [row for row in rows if row["change"]]
         tables: list[Table | str] = [losses(changed)] if chosen.loss else [table(rows)]
-        tables += command.worst(changed, "added", LISTED) if chosen.worst else []
-        tables += (
-            [command.listing("missed", [row for row in changed if not row["good"]], LISTED)] if chosen.which else []
-        )
+        tables += worst(changed) if chosen.worst else []
+        tables += [listing("missed", (row for row in changed if not row["good"]))] if chosen.which else []
         count = sum(not row["good"] for row in rows)
         drawn = f"; seed {chosen.seed}" if chosen.sample else ""
         return [*tables, f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed{drawn}"]
