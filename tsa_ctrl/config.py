@@ -56,6 +56,7 @@ from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.torque_off import MonitorSettings
 
+LOWEST_RATE, HIGHEST_RATE = 10.0, 4000.0  # Hz, limits of [controller] rate
 PEAK = 3.0  # of the rated torque, peak torque that a drive can sustain for seconds
 MARGIN = 0.05  # s, added to the longest time-out: to detect a fault, command the drive and let its torque fall
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
@@ -65,7 +66,7 @@ class ControllerSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     """[controller]: settings of the whole loop."""
 
     name: Name = "rig"
-    rate: Annotated[float, Meta(ge=10.0, le=4000.0)] = 1000.0  # Hz of SYNC
+    rate: Annotated[float, Meta(ge=LOWEST_RATE, le=HIGHEST_RATE)] = 1000.0  # Hz of SYNC
     collect: Annotated[float, Meta(gt=0.05, le=0.9)] = 0.6  # share of the period in which the loop waits for answers
     settle_cycles: Annotated[int, Meta(ge=1, le=100_000)] = 100  # consecutive complete cycles before any enable
     stop_time: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.3  # s in which the torque ramps to 0 at a stop

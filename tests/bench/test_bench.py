@@ -20,12 +20,13 @@ from tests.bus.nodes import axis_nodes
 from tests.conftest import ROOT
 from tests.drives.rig import STILL, served
 from tsa_ctrl.bench.responder import standing_in
-from tsa_ctrl.bench.run import HIGHEST, LOWEST, Measured, Times, bounds, holds, rounded_down
+from tsa_ctrl.bench.run import Measured, Times, bounds, holds, rounded_down
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.cli import cli, main
+from tsa_ctrl.config import HIGHEST_RATE, LOWEST_RATE
 
 QUICK = Times(1e-5, 2e-5, 3e-5, 9e-5)
 MEASURED = Measured(
@@ -46,11 +47,25 @@ def test_the_slowest_thing_bounds_the_rate() -> None:
     Answers after 0.3 ms, which must come within 60 % of the period, give the same limit.
     """
     found = {bound.name: bound.rate for bound in bounds(MEASURED, 0.3, 0.6, 1488.0, 0.9)}
-    assert list(found.values()) == sorted(found.values())
-    assert found == pytest.approx({"cycle": 1400.0, "answers": 1400.0, "bit rate": 1488.0, "configuration": HIGHEST})
+    assert found == pytest.approx(
+        {"cycle": 1400.0, "answers": 1400.0, "bit rate": 1488.0, "configuration": HIGHEST_RATE}
+    )
 
 
-@given(st.floats(LOWEST, HIGHEST))
+def test_bounds_come_with_the_lowest_first() -> None:
+    """The first bound is the lowest one, of any kind."""
+    assert bounds(MEASURED, 0.3, 0.6, 100.0, 0.9)[0].name == "bit rate"
+    assert bounds(replace(MEASURED, busy=Times(0.1, 0.1, 0.1, 0.1)), 0.3, 0.6, 100.0, 0.9)[0].name == "cycle"
+
+
+def test_nothing_measured_allows_no_rate() -> None:
+    """Times that are not a number give a rate of 0."""
+    nothing = Times(math.nan, math.nan, math.nan, math.nan)
+    lowest = bounds(replace(MEASURED, busy=nothing, command=nothing), 0.3, 0.6, 1488.0, 0.9)[0]
+    assert rounded_down(lowest.rate) == 0.0
+
+
+@given(st.floats(LOWEST_RATE, HIGHEST_RATE))
 def test_rounding_is_down_and_by_less_than_a_tenth(rate: float) -> None:
     """A rate below the lowest configurable one, or not a number, becomes 0."""
     assert 0.9 * rate < rounded_down(rate) <= rate * (1.0 + 1e-9)

@@ -21,7 +21,7 @@ from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.link import is_simulated, open_bus
-from tsa_ctrl.config import Configuration
+from tsa_ctrl.config import HIGHEST_RATE, LOWEST_RATE, Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import after_commands, run_cycle
 from tsa_ctrl.daemon.build import control_axes, tuners_of
@@ -136,10 +136,6 @@ def _run(
     return Measured(rate, len(times), lost, late, enabled, *map(Times.of, np.array(times).T))
 
 
-HIGHEST = 4000.0  # Hz, upper limit of [controller] rate
-LOWEST = 10.0  # Hz, lower limit
-
-
 @dataclass(frozen=True)
 class Bound:
     """One upper bound of the rate, and its measured reason."""
@@ -164,14 +160,14 @@ def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, m
         Bound("cycle", (1.0 - margin) / busy, f"{_us(busy)} from the deadline to the end of a cycle"),
         Bound("answers", (1.0 - margin) * collect / command, f"{_us(command)} from SYNC to the command"),
         Bound("bit rate", bus_rate, f"at most {100 * max_load:.0f} % of the bit rate, in the worst case"),
-        Bound("configuration", HIGHEST, "largest value of [controller] rate"),
+        Bound("configuration", HIGHEST_RATE, "largest value of [controller] rate"),
     )
     return tuple(sorted(found, key=lambda bound: bound.rate))
 
 
 def rounded_down(rate: float) -> float:
     """Return the rate rounded down to two significant digits; 0 below the lowest rate that can be configured."""
-    if not rate >= LOWEST:
+    if not rate >= LOWEST_RATE:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(rate)) - 1)
     return math.floor(rate / unit + 1e-9) * unit

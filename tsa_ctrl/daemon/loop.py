@@ -19,13 +19,13 @@ from tsa_ctrl.daemon.notices import Events, Notices
 from tsa_ctrl.daemon.summary import TorqueErrorCounter
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox
+from tsa_ctrl.ipc.protocol import STATUS_RATE
 from tsa_ctrl.safety.causes import REMEDIES, Cause
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.safety.supervisor import Phase, Request
 from tsa_ctrl.system.histogram import count
 from tsa_ctrl.system.realtime import Ticker
 
-STATUS_RATE = 50.0  # Hz of the published status
 SETTLE_TIME = 3.0  # s beyond the settling cycles after which startup is abandoned
 RESET_TIME = 0.5  # s beyond the supervisors' own time-out
 STOP_TIME = 2.0  # s beyond ramp and confirmation after which the loop ends in any case

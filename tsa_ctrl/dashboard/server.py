@@ -38,7 +38,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client, stop_daemon
-from tsa_ctrl.ipc.protocol import Measure, Recover, Set, Status
+from tsa_ctrl.ipc.protocol import STATUS_RATE, Measure, Recover, Set, Status
 from tsa_ctrl.signals import BANDED, Kind, Place, signals_of
 
 TIMEOUT = 2.0  # s for an answer
@@ -104,7 +104,6 @@ class Feed:
 
 STATIC = Path(__file__).parent / "static"
 RATE = 100.0  # Hz of the measurements, twice the minimum for a plot of human motion
-STATUS_RATE = 50.0  # Hz of the status, the rate at which the daemon publishes it
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
 MOST = 64  # connections at once; a browser keeps six to one server

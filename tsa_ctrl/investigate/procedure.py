@@ -22,10 +22,9 @@ from tsa_ctrl.investigate.design import SECONDS, Designer, Experiment, Pair
 from tsa_ctrl.investigate.response import Joint, JointModel
 from tsa_ctrl.model.catalogue import PARAMETER_ERROR
 from tsa_ctrl.model.parameters import RigidDrive
-from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Waveform, probe, response
+from tsa_ctrl.tune.excitation import MOVING, PROBE_SECONDS, PROBE_SHARES, Bounds, Waveform, probe, response
 from tsa_ctrl.tune.run import RigRunner, longest
 
-PROBE_SECONDS = 6.0  # s: two periods of the slowest sine of a probe, with its ramps
 SEPARATES = 5.0  # standard deviations; a motion with a smaller predicted separation is not played
 LEAST_MOTIONS = 2  # an answer must also hold on a second motion
 ATTEMPTS = 2  # motions designed for the same pair before it counts as inseparable

@@ -28,6 +28,7 @@ import msgspec
 
 from tsa_ctrl.errors import UsageError
 
+STATUS_RATE = 50.0  # Hz of the published status
 LONGEST_LINE = 4096  # bytes of a request
 
 

@@ -24,7 +24,6 @@ from tsa_ctrl.outputs import json_types
 
 # The comparison sets parameters through the socket of a running daemon, and reads the errors from its status.
 
-POLL = 0.02  # s between two status requests; the loop publishes the status at 50 Hz
 SETTLE = 1.0  # s after a change that are not evaluated: parameters change smoothly, and friction must reverse once
 FEWEST = 20  # least number of different samples in a block
 SLOWEST = 12.0  # s, time-out for a parameter to reach its value; the slowest takes 8 s from bound to bound
@@ -80,7 +79,7 @@ class LiveBlocks:
             self.axis = str(answer["axis"])
         end = time.monotonic() + SLOWEST
         while not self._arrived(name) and time.monotonic() < end:
-            time.sleep(POLL)
+            time.sleep(1.0 / protocol.STATUS_RATE)
         if not self._arrived(name):
             raise BusError(f"axis '{self.axis}': {name.upper()} was not reached within {SLOWEST:g} s; see `tsa status`")
         time.sleep(SETTLE)
@@ -101,7 +100,7 @@ class LiveBlocks:
             if axis["tau_j"] is None:
                 raise UsageError(f"axis '{self.axis}' has no joint torque sensor, so errors cannot be compared")
             squares[axis["t"]] = (axis["tau_j"] - axis["tau_j_des"]) ** 2
-            time.sleep(POLL)
+            time.sleep(1.0 / protocol.STATUS_RATE)
         if len(squares) < FEWEST:
             raise BusError(f"axis '{self.axis}': only {len(squares)} different samples in a block; is the loop stuck?")
         return math.sqrt(math.fsum(squares.values()) / len(squares))

@@ -28,6 +28,7 @@ RATE = 200.0  # Hz of the set-point file; the controller interpolates
 LONGEST = 600.0  # s, longest permitted set-point file
 RAMP = 1.0  # s, duration of the ramp at each end of the torque
 PROBE_FREQUENCIES = (0.45, 0.8)  # Hz
+PROBE_SECONDS = 6.0  # s: two periods of the slowest sine of a probe, with its ramps
 PROBE_SHARES = (0.2, 0.5, 0.9)  # of the torque limit, tried in this order until the joint moves
 FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow compared with sensor delays, many periods in 15 s
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit

@@ -25,6 +25,7 @@ from tsa_ctrl.tune.estimate import Estimate, beyond_joint, estimate, extended, f
 from tsa_ctrl.tune.excitation import (
     MOVED_BY_TORQUE,
     MOVING,
+    PROBE_SECONDS,
     PROBE_SHARES,
     RAMP,
     SHAKE_SECONDS,
@@ -191,7 +192,6 @@ def fastest(peak: float, period: float) -> float:
     return 2.0 * np.pi * HIGHEST / period * peak * 1.5
 
 
-PROBE_SECONDS = 6.0
 STIFFNESS = "axial_stiffness"
 BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # removes the keys that describe and damp the motor from [axis.law]
 LawOf = Callable[[Estimate, Mechanics], LawTuning | None]

@@ -35,6 +35,7 @@ from tsa_ctrl.tune.by_stretch import unsupported_by
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     OTHER_FREQUENCIES,
+    PROBE_SECONDS,
     SHAKE_SECONDS,
     Bounds,
     from_file,
@@ -42,7 +43,6 @@ from tsa_ctrl.tune.excitation import (
 )
 from tsa_ctrl.tune.mechanics import differ_in_law_alone, law_tuning, moved, with_law
 from tsa_ctrl.tune.procedure import (
-    PROBE_SECONDS,
     Ask,
     Outcome,
     Procedure,
