@@ -1,6 +1,6 @@
 """Run `tsa demo --full` for hidden effects: simulate, calibrate, diagnose, and simulate with the extended model.
 
-Usage: tools/vcan tools/run bench/circle [--seconds 20] [--rate 1000] [--rows FILE] [--json] [EFFECT[+EFFECT]:SEED ...]
+Usage: tools/vcan tools/run bench/circle [--seconds 20] [--rows FILE] [--json] [EFFECT[+EFFECT]:SEED ...]
 
 Each row has the RMS error of the joint torque (mN*m) for five controllers: without compensation, with the nominal
 model, with the calibrated model, with the extended model, and with the true parameters. The model is extended by the
@@ -42,8 +42,9 @@ def one(arguments: argparse.Namespace, case: str) -> Row:
     hidden = [part for name in names.split("+") for part in ("--hidden", name)]
     with tempfile.TemporaryDirectory(prefix="full-circle-") as folder:
         line = tsa("demo", "--full", "--json", *hidden, "--seed", seed or "1", "--out", folder)
-        more = ("--seconds", f"{arguments.seconds:g}", "--rate", f"{arguments.rate:g}")
-        run = subprocess.run([*line, *more], capture_output=True, text=True, check=False)
+        run = subprocess.run(
+            [*line, "--seconds", f"{arguments.seconds:g}"], capture_output=True, text=True, check=False
+        )
     return {"case": case, **(json.loads(run.stdout) if run.returncode == 0 else {"error": run.stderr.strip()})}
 
 
@@ -60,7 +61,6 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("cases", nargs="*", default=CASES, metavar="EFFECT[+EFFECT]:SEED")
     parser.add_argument("--seconds", type=float, default=20.0, help="of torque per run")
-    parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz")
     command.share(parser, "rows processes json")
     arguments = parser.parse_args()
     rows = command.run_rows(functools.partial(one, arguments), arguments.cases, lambda row: row["case"], arguments)

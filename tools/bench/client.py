@@ -1,6 +1,6 @@
 """Measure the latency of a set-point from its client to the RPDO of the drive, in periods of the loop.
 
-Usage: tools/run bench/client [--bus INTERFACE:CHANNEL] [--rate 0] [--client-rate 500] [--seconds 20] [--json]
+Usage: tools/run bench/client [--bus INTERFACE:CHANNEL] [--seconds 20] [--json]
 
 Plant, daemon, a client that streams set-points (`tsa_ctrl.Client`), and a bus listener ("witness") run as processes of
 this machine, on the bus that `tsa demo` would choose. The client changes the sign of its torque at random times. The
@@ -45,6 +45,7 @@ TORQUE = 0.1  # N*m at the joint, with both signs
 APART = (10.0, 15.0)  # range of the number of periods between two changes of the sign
 FLOODS = (0, 1, 4)  # numbers of other clients
 SLOW, FAST = 250.0, 1000.0  # Hz of the loop, over UDP multicast and on a CAN interface
+CLIENT = 500.0  # Hz of the set-points
 STARTED = 120.0  # s for the daemon to start, because the first start on a machine compiles
 ABOVE = 90  # priority of the witness, higher than the loop's priority
 SETTLED = 2.0  # s of torque before the measurement
@@ -56,23 +57,21 @@ Changes = list[tuple[float, int]]  # s, sign
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--bus", help="a CAN interface, or INTERFACE:CHANNEL of python-can")
-    parser.add_argument("--rate", type=float, default=0.0, help=f"Hz of the loop; 0: {FAST:g}, without CAN {SLOW:g}")
-    parser.add_argument("--client-rate", type=float, default=500.0, help="Hz of set-points (default 500)")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each of the three (default 20)")
     command.share(parser, "json")
     options = parser.parse_args()
     bus = choose(options.bus)
-    rate = options.rate or (FAST if bus.interface == "socketcan" else SLOW)
+    rate = FAST if bus.interface == "socketcan" else SLOW
     with tempfile.TemporaryDirectory(prefix="bench-client-") as name:
         folder = Path(name)
         write(folder, bus, rate)
         path = str(folder / "tsa.sock")
         with plant(folder), daemon(folder, path):
-            rows = [beside(number, path, bus, rate, options.client_rate, options.seconds) for number in FLOODS]
+            rows = [beside(number, path, bus, rate, options.seconds) for number in FLOODS]
             with Client(path) as client:
                 cycle = (client.ask(protocol.Status())["work"]["p99"] or 0.0) * rate
     if not options.json:
-        print(f"{bus.name}, loop {rate:g} Hz, client {options.client_rate:g} Hz, cycle {cycle:.2f}; in periods:")
+        print(f"{bus.name}, loop {rate:g} Hz, client {CLIENT:g} Hz, cycle {cycle:.2f}; in periods:")
     keys = ("beside", "p50", "p99", "worst", "changes")
     lines = ([row[key] for key in keys] for row in rows)
     command.print_tables(rows, options, lambda: [command.table(("other clients", *keys[1:]), lines)])
@@ -134,13 +133,13 @@ def running(path: str) -> bool:
         return False
 
 
-def beside(floods: int, path: str, bus: BusChoice, rate: float, client_rate: float, seconds: float) -> Row:
+def beside(floods: int, path: str, bus: BusChoice, rate: float, seconds: float) -> Row:
     """Return the latency quantiles of one run, in periods, while `floods` other clients send requests."""
     flooding = [SPAWN.Process(target=flood, args=(path,), daemon=True) for _ in range(floods)]
     for process in flooding:
         process.start()
     with ProcessPoolExecutor(1, SPAWN) as pool:
-        client = pool.submit(stream, path, client_rate, rate, seconds)
+        client = pool.submit(stream, path, rate, seconds)
         seen = witness(bus, client)
     for process in flooding:
         process.kill()
@@ -181,7 +180,7 @@ def matched(changes: Changes, seen: Changes) -> Iterator[float]:
         yield float("inf") if shown is None or shown > following else shown - at
 
 
-def stream(path: str, client_rate: float, rate: float, seconds: float) -> Changes:
+def stream(path: str, rate: float, seconds: float) -> Changes:
     """Send set-points whose sign changes at random times, and return the times and signs of the changes."""
     draw = random.Random(1)
     changes: Changes = []
@@ -195,7 +194,7 @@ def stream(path: str, client_rate: float, rate: float, seconds: float) -> Change
                 change = now + draw.uniform(*APART) / rate
                 changes.append((now, sign))
             lease.send({"knee": TORQUE * sign}, now)
-            due = max(due + 1.0 / client_rate, now)
+            due = max(due + 1.0 / CLIENT, now)
             time.sleep(max(0.0, min(due, change) - time.monotonic()))
     return changes
 

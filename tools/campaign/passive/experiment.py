@@ -65,9 +65,7 @@ class Experiment:
         centre: s_c, centre of the bends along the sheath, from 0 (motor) to 1 (joint).
         delay: Delay of the drive, periods.
         motor_bits, joint_bits: Resolution of the encoders.
-        inertia: Inertia of the motor, kg*m^2.
         true_stiffness: True if the controller's file has the true stiffness instead of the data sheet's value.
-        feedback: Bandwidth of the torque feedback with a torque sensor, Hz.
         file_model: Model that replaces the controller's model.
         hand: Script of a hand on the joint. By default, a wearer has its own script.
         axis, file, plant: Tables that replace values of the controller's [[axis]], of its other tables, and of the
@@ -85,9 +83,7 @@ class Experiment:
     joint_bits: int = 20
     compensation: float = SHARE
     fade_in: float = 0.5
-    inertia: float = rig.MOTOR_INERTIA
     true_stiffness: bool = False
-    feedback: float = FEEDBACK
     file_model: TendonSheath | None = None
     seed: int = 1
     hand: Sequence[Sequence[float]] | None = None
@@ -137,7 +133,7 @@ class Experiment:
             },
             "tendon": {"curvature": curvature if isinstance(curvature, str) else [list(p) for p in curvature]},
             "drive": {"delay_periods": self.delay - 1, "counts_per_revolution": 1 << self.motor_bits},
-            "motor": {"inertia": self.inertia},
+            "motor": {"inertia": rig.MOTOR_INERTIA},
             "encoder": {"present": self.sensors != "motor", "counts_per_revolution": 1 << self.joint_bits},
             "torque_sensor": {"present": self.sensors == "sensor"},
         }
@@ -155,7 +151,7 @@ class Experiment:
         axis["drive"]["counts_per_revolution"] = 1 << self.motor_bits
         axis["encoder"]["counts_per_revolution"] = 1 << self.joint_bits
         if self.compensation > 0.0:
-            axis["law"] |= {"motor_inertia": self.inertia, "delay": (self.delay + 1.0) * 1e-3}  # hold, torque loop
+            axis["law"] |= {"motor_inertia": rig.MOTOR_INERTIA, "delay": (self.delay + 1.0) * 1e-3}  # hold, torque loop
         if self.set_point in ("zero", "constant"):
             axis["setpoint"] = {"kind": "constant", "offset": CONSTANT if self.set_point == "constant" else 0.0}
         elif self.set_point == "sine":
@@ -165,7 +161,7 @@ class Experiment:
         if self.sensors != "sensor":
             del axis["torque_sensor"]
         elif self.compensation > 0.0 and hasattr(LawSettings, "feedback"):  # an older revision may not have it
-            axis["law"]["feedback"] = self.feedback
+            axis["law"]["feedback"] = FEEDBACK
         _over(axis, self.axis)
         _over(tables, self.file)
         return tables
