@@ -263,3 +263,9 @@ def print_table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
 
 def _cell(value: object) -> str:
     return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def print_goals(rows: Sequence[Row]) -> None:
+    """Print a table of rows with "what", "goal" and "found". A goal is met by a value of at most the goal."""
+    lines = [(row["what"], f"{row['goal']:.1f}", f"{row['found']:.1f}", row["found"] <= row["goal"]) for row in rows]
+    print_table(("row", "goal", "measured", "met"), lines)

@@ -49,9 +49,14 @@ from tsa_ctrl.virtual.script import Change
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 JOINTS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
-SHAPES = ("uniform", "motor_end", "joint_end")  # the last is a point bend at the joint
-LAST_TENTH = "last_tenth"  # evenly bent within the last 10 % of the length
-PROFILES: dict[str, Points] = {LAST_TENTH: ((0.0, 0.0), (0.9, 0.0), (1.0, 1.0))}
+SHAPES = {  # name of the option -> name in the tables
+    "uniform": "uniform",
+    "motor_end": "motor end",
+    "last_tenth": "last 10 %",
+    "joint_end": "point bend at the joint",
+    "s_bent": "S-bent",
+}
+LAST_TENTH: Points = ((0.0, 0.0), (0.9, 0.0), (1.0, 1.0))  # evenly bent within the last 10 % of the length
 LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term: as shipped, and with the true parameters
 TO_REST, REST = 3.0, 2.0  # s; the set-point gain fades to 0 within 2 s, and the speed is measured after 3 s
@@ -177,7 +182,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
     drive = {"delay_periods": arguments.delay - 1}
     kept = Results(arguments.rows, lambda row: (row["shape"], row["joint"], row["law"], row.get("x")))
     for shape, x in itertools.product(arguments.shapes, arguments.angles or [None]):
-        case, profile = Case(x, arguments.off), PROFILES.get(shape, shape)
+        case, profile = Case(x, arguments.off), LAST_TENTH if shape == "last_tenth" else shape
         axis = {"tendon": {"curvature": profile}, "motor": {"inertia": arguments.inertia}}
         model = true_model(profile, case.nominal, case.factors)
         axis |= {"drive": {**drive, **plant_drive(case.torque(model))}, "perturbation": case.factors}
@@ -213,7 +218,7 @@ def whole(found: Sequence[Row]) -> Table:
         reduction = "-" if without is None else f"{100.0 * (1.0 - row['rms'] / without):.1f} %"
         errors = (f"{1e3 * row[key]:.1f}" for key in ("rms", "p99", "peak"))
         x = "-" if row.get("x") is None else f"{row['x']:g}"
-        table.add_row(row["shape"], x, row["joint"], row["law"], *errors, _jerk(row), _rest(row), reduction)
+        table.add_row(SHAPES[row["shape"]], x, row["joint"], row["law"], *errors, _jerk(row), _rest(row), reduction)
     return table
 
 
@@ -223,7 +228,7 @@ def brief(found: Sequence[Row]) -> Table:
     table = Table("shape", "joint", *laws, "at rest (rad/s)")
     cells: dict[tuple[str, str], dict[str, Row]] = {}
     for row in found:
-        shape = row["shape"] if row.get("x") is None else f"{row['shape']}, x {row['x']:g}"
+        shape = SHAPES[row["shape"]] + ("" if row.get("x") is None else f", x {row['x']:g}")
         cells.setdefault((shape, row["joint"]), {})[row["law"]] = row
     for (shape, joint), of in cells.items():
         worst = max(of.values(), key=lambda row: float(row["resting_speed"]))
@@ -249,7 +254,7 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--joints", nargs="+", choices=JOINTS, default=JOINTS)
     parser.add_argument(
-        "--shapes", nargs="+", choices=(*SHAPES, "s_bent", LAST_TENTH), default=SHAPES, help="of the sheath's bending"
+        "--shapes", nargs="+", choices=tuple(SHAPES), default=tuple(SHAPES)[:4], help="of the sheath's bending"
     )
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz (default 1000)")

@@ -56,6 +56,25 @@ SECONDS = {"imposed": 4.4, "held": 4.4, "wearer": 9.0, "small": 5.2}  # s of tor
 TUNING = ("--seconds", "20", "--verify-seconds", "8")
 
 
+def rated_torque(torque: float) -> float:
+    """Return a rated torque of the drive, N*m, for a limit of `torque` N*m.
+
+    A drive accepts a max torque (0x6072) up to a few times its rated torque, so both must grow together.
+    """
+    return max(1.0, torque / 3.0)
+
+
+def plant_drive(torque: float) -> dict[str, float]:
+    """Return the keys of the plant's drive that a controller's limit of `torque` N*m requires."""
+    return {"peak_torque": 1.5 * torque, "rated_torque": rated_torque(torque)}
+
+
+def confine(axis: dict[str, Any], torque: float) -> None:
+    """Set the limits in a controller's table of an axis to `torque` N*m; the plant's drive needs `plant_drive`."""
+    axis["limits"] |= {"torque": torque, "rate": 80.0 * torque}
+    axis["drive"] |= {"max_torque": 1.2 * torque, "rated_torque": rated_torque(torque)}
+
+
 @dataclass(frozen=True)
 class Rig:
     """One rig. `effects` are the plant's effects. `temperature` has rows of s, deg C. `bits` is for both encoders."""
@@ -79,11 +98,6 @@ class Rig:
         most = max(abs(Feedforward(model, 1e-3).update(tau, way, way)) for tau in (-1.0, 1.0) for way in (-1.0, 1.0))
         return max(2.5, 1.4 * most)
 
-    @property
-    def rated_torque(self) -> float:
-        """Return a rated torque of the drive, N*m, whose max torque (0x6072) is only a few times as large."""
-        return max(1.0, self.torque / 3.0)
-
     def plant(self, joint: str) -> dict[str, Any]:
         """Return the plant's tables with the load `joint`."""
         axis: dict[str, dict[str, Any]] = {
@@ -92,8 +106,7 @@ class Rig:
             "drive": {
                 "delay_periods": self.delay - 1,
                 "counts_per_revolution": 2 ** self.bits[0],
-                "peak_torque": 1.5 * self.torque,
-                "rated_torque": self.rated_torque,
+                **plant_drive(self.torque),
             },
             "encoder": {"counts_per_revolution": 2 ** self.bits[1]},
             "torque_sensor": {"noise": self.noise},
@@ -109,8 +122,7 @@ class Rig:
         tables = demo.controller(VIRTUAL, "tune", 1000.0, "nominal.toml", 0.95)
         axis = tables["axis"][0]
         axis["law"] = {"compensation": 0.95, "fade_in": demo.FADE_IN}
-        axis["limits"] |= {"torque": self.torque, "rate": 80.0 * self.torque}
-        axis["drive"] |= {"max_torque": 1.2 * self.torque, "rated_torque": self.rated_torque}
+        confine(axis, self.torque)
         axis["drive"]["counts_per_revolution"] = 2 ** self.bits[0]
         axis["encoder"]["counts_per_revolution"] = 2 ** self.bits[1]
         return tables
