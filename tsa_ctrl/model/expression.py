@@ -14,16 +14,17 @@ from __future__ import annotations
 import ast
 import difflib
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.filters import KINDS, Live, Memory, usage
-from tsa_ctrl.model.functions import BLOCK, LARGEST, Array
+from tsa_ctrl.model.functions import BLOCK, LARGEST, SCALARS, Array, F
 
 LONGEST = 500  # characters: a formula that a person can still read
 MOST_STEPS = 120  # operations; they take about 20 us on the controller's machine, a fiftieth of a cycle at 1 kHz
@@ -58,7 +59,7 @@ INSIDE = "inside"  # inside(x, low, high) = (1 - tanh(STEEP (|x - middle|/half -
 FADED, STEEP = 1.25, 12.0  # half widths at which it is 1/2, and its steepness (0.998 at the ends, 0.002 at 1.5)
 FUNCTIONS = {op.name.lower(): op for op in (Op.SIN, Op.COS, Op.TANH, Op.EXP, Op.ABS, Op.SIGN, Op.SQRT)}
 REMEMBERING = {kind: Op[kind.upper()] for kind in KINDS}
-Remember: TypeAlias = Callable[[int, Array], Array]  # returns the value of a memory from its index and its x
+Remember: TypeAlias = Callable[[int, F], F]  # returns the value of a memory from its index and its x
 _BINARY: dict[type[ast.operator], Op] = {
     ast.Add: Op.ADD,
     ast.Sub: Op.SUBTRACT,
@@ -93,7 +94,19 @@ class Program:
 
         `memories`: the memories of the program in a control loop.
         """
-        stack: list[float] = []
+        return self._run(values, _SCALARS, lambda index, x: memories[index].value(x))
+
+    def array(self, values: Sequence[Array], remember: Remember[Array] | None = None) -> Array:
+        """Return the formula over a log, with `values` in the order of `names`, each (n) or 0-dimensional.
+
+        `remember`: required if the program has memories.
+        """
+        with np.errstate(all="ignore"):
+            return np.asarray(self._run(values, _ARRAYS, remember))
+
+    def _run(self, values: Sequence[F], functions: Mapping[int, Callable[..., F]], remember: Remember[F] | None) -> F:
+        """Return the result of the stack machine."""
+        stack: list[Any] = []
         for op, argument in zip(self.operations, self.arguments, strict=True):
             if op == Op.CONSTANT:
                 stack.append(argument)
@@ -101,34 +114,14 @@ class Program:
                 stack.append(values[int(argument)])
             elif op <= Op.POWER:
                 right = stack.pop()
-                stack.append(_binary(op, stack.pop(), right))
+                stack.append(functions[op](stack.pop(), right))
             elif op >= Op.LAG:
-                stack.append(memories[int(argument)].value(stack.pop()))
+                assert remember is not None
+                stack.append(remember(int(argument), stack.pop()))
             else:
-                stack.append(_unary(op, stack.pop()))
-        return stack[0]
-
-    def array(self, values: Sequence[Array], remember: Remember | None = None) -> Array:
-        """Return the formula over a log, with `values` in the order of `names`, each (n) or 0-dimensional.
-
-        `remember`: required if the program has memories.
-        """
-        stack: list[Array] = []
-        with np.errstate(all="ignore"):
-            for op, argument in zip(self.operations, self.arguments, strict=True):
-                if op == Op.CONSTANT:
-                    stack.append(np.asarray(argument))
-                elif op == Op.NAME:
-                    stack.append(values[int(argument)])
-                elif op <= Op.POWER:
-                    right = stack.pop()
-                    stack.append(np.asarray(_ARRAY_BINARY[op](stack.pop(), right)))
-                elif op >= Op.LAG:
-                    assert remember is not None
-                    stack.append(remember(int(argument), stack.pop()))
-                else:
-                    stack.append(np.asarray(_ARRAY_UNARY[op](stack.pop())))
-        return stack[0]
+                stack.append(functions[op](stack.pop()))
+        result: F = stack[0]
+        return result
 
     def over(self, values: Sequence[Array], t: Array) -> Array:
         """Return `array` along a log, with memories that start at its first sample; t in s, (n,)."""
@@ -280,40 +273,18 @@ def _refused(text: str, node: ast.expr, where: str) -> UsageError:
     )
 
 
-def _binary(op: int, left: float, right: float) -> float:
-    if op == Op.ADD:
-        return left + right
-    if op == Op.SUBTRACT:
-        return left - right
-    if op == Op.MULTIPLY:
-        return left * right
+def _divided(left: float, right: float) -> float:
+    return left / right if right else math.nan
+
+
+def _raised(left: float, right: float) -> float:
     try:
-        if op == Op.DIVIDE:
-            return left / right
         power = left**right
-        return power if isinstance(power, float) else math.nan
     except ZeroDivisionError:
         return math.nan
     except OverflowError:
         return math.inf
-
-
-def _unary(op: int, x: float) -> float:
-    if op == Op.NEGATE:
-        return -x
-    if op == Op.ABS:
-        return abs(x)
-    if op == Op.SIGN:
-        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x  # nan stays nan
-    if op == Op.SQRT:
-        return math.sqrt(x) if x >= 0.0 else math.nan
-    if op == Op.TANH:
-        return math.tanh(x)
-    if op == Op.EXP:
-        return math.exp(x if x < LARGEST else LARGEST) if x == x else x
-    if not math.isfinite(x):
-        return math.nan
-    return math.sin(x) if op == Op.SIN else math.cos(x)
+    return power if isinstance(power, float) else math.nan
 
 
 def _quotient(left: Array, right: Array) -> Array:
@@ -324,14 +295,28 @@ def _power(left: Array, right: Array) -> Array:
     return np.where((left == 0.0) & (right < 0.0), np.nan, np.power(left, right))
 
 
-_ARRAY_BINARY: dict[int, Callable[[Array, Array], Array]] = {
+# Single numbers saturate instead of raising errors. Both kinds are nan where a formula is undefined.
+_SCALARS: dict[int, Callable[..., float]] = {
+    Op.ADD: operator.add,
+    Op.SUBTRACT: operator.sub,
+    Op.MULTIPLY: operator.mul,
+    Op.DIVIDE: _divided,
+    Op.POWER: _raised,
+    Op.NEGATE: operator.neg,
+    Op.SIN: SCALARS.sin,
+    Op.COS: lambda x: math.cos(x) if math.isfinite(x) else math.nan,
+    Op.TANH: math.tanh,
+    Op.EXP: lambda x: SCALARS.exp(x) if x == x else x,
+    Op.ABS: abs,
+    Op.SIGN: lambda x: SCALARS.sign(x) if x == x else x,
+    Op.SQRT: lambda x: math.sqrt(x) if x >= 0.0 else math.nan,
+}
+_ARRAYS: dict[int, Callable[..., Array]] = {
     Op.ADD: np.add,
     Op.SUBTRACT: np.subtract,
     Op.MULTIPLY: np.multiply,
     Op.DIVIDE: _quotient,
     Op.POWER: _power,
-}
-_ARRAY_UNARY: dict[int, Callable[[Array], Array]] = {
     Op.NEGATE: np.negative,
     Op.SIN: np.sin,
     Op.COS: np.cos,

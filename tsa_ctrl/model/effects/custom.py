@@ -26,7 +26,7 @@ from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import Array, F
 
 NAMES = ("omega_j", "q_j", "q_m", "tau", "sigma", "t", "temperature")
-NEEDS = {"q_j": ("q_j",), "q_m": ("q_m",), "temperature": ("temperature",)}  # columns that a log may lack
+NEEDS = ("q_j", "q_m", "temperature")  # columns that a log may lack
 CLOSE = 1e-11  # N*m; tolerance of the inverse: as exact as the effects with a closed-form inverse
 # Limits of the inverse. The doublings extend its bracket from 1 mN*m to more than the torque of any joint. The steps
 # then suffice to reach `CLOSE`.
@@ -36,7 +36,7 @@ MOST_DOUBLINGS, MOST_STEPS = 24, 40
 def _columns(parameters: Mapping[str, Setting]) -> Columns:
     """Return the columns of the formula that a log may lack."""
     program = cast(Custom, Specification.of(Custom).build(parameters)).program
-    return tuple(columns for name, columns in NEEDS.items() if program.uses(name))
+    return tuple((name,) for name in NEEDS if program.uses(name))
 
 
 @dataclass(frozen=True)

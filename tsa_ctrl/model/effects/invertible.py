@@ -99,7 +99,7 @@ def _passed(custom: Custom, tau: Array, known: Mapping[str, float], parts: Array
         at, level = first[index]
         return program.memories[index].passes(level, x - at, elapsed)
 
-    def left(at: Array, remember: Remember) -> Array:
+    def left(at: Array, remember: Remember[Array]) -> Array:
         values = [at if name == "tau" else np.asarray(known.get(name, 0.0)) for name in NAMES]
         return at - program.array(values, remember)
 
