@@ -19,12 +19,12 @@ NOISE = 12.0
 BLOCKS = 10  # blocks of a log, each left out once by a jackknife: t with 9 degrees of freedom is 2.3
 
 
-def half_width(freedom: float, level: float = LEVEL) -> float:
-    """Return the half width of a two-sided interval at `level`, in standard deviations (Student's t).
+def half_width(freedom: float) -> float:
+    """Return the half width of a two-sided interval at `LEVEL`, in standard deviations (Student's t).
 
     `freedom`: degrees of freedom of the estimated variance.
     """
-    return float(stdtrit(freedom, 0.5 + 0.5 * level))
+    return float(stdtrit(freedom, 0.5 + 0.5 * LEVEL))
 
 
 def jackknife_half_width(without: Sequence[float] | NDArray[np.float64]) -> float:

@@ -15,7 +15,7 @@ from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag, lag
 from tsa_ctrl.identify.dataset import Dataset, check_distinct, matches
 from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.model.signals import Signals, hold_direction
 
 # Select the samples for a calibration independently of the fit.
 #
@@ -77,7 +77,7 @@ def admit(t: FloatArray, omega: FloatArray) -> Admission:
     if moving.size == 0:
         nothing = np.zeros(t.size, dtype=np.bool_)
         return Admission(nothing, direction, ("standstill",), 0.0, 0.0, 0.0, 0)
-    held = _hold(direction)
+    held = hold_direction(direction)
     switches = np.flatnonzero(np.diff(held)) + 1
     mask = direction != 0.0
     guard = max(1, round(GUARD_TIME / period))
@@ -97,14 +97,6 @@ def admit(t: FloatArray, omega: FloatArray) -> Admission:
     forward = float(np.sum(mask & (held > 0)) * period)
     backward = float(np.sum(mask & (held < 0)) * period)
     return Admission(mask, held, tuple(refused), forward + backward, forward, backward, int(switches.size))
-
-
-def _hold(direction: FloatArray) -> FloatArray:
-    """Return sigma (n,) with its last non-zero value held at standstill; before any motion it has the first value."""
-    index = np.where(direction != 0.0, np.arange(direction.size), -1)
-    last = np.maximum.accumulate(index)
-    first = int(np.flatnonzero(direction)[0])
-    return direction[np.where(last < 0, first, last)]
 
 
 def require(admissions: list[Admission], tau_m: list[FloatArray], where: str) -> None:

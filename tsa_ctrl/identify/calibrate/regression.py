@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from tsa_ctrl.identify.quantity import LEVEL, half_width
+from tsa_ctrl.identify.quantity import half_width
 
 FloatArray = NDArray[np.float64]
 
@@ -47,15 +47,15 @@ class Estimate:
     weight: FloatArray
     of_prior: FloatArray | None = None
 
-    def interval(self, index: int, level: float = LEVEL) -> tuple[float, float]:
+    def interval(self, index: int) -> tuple[float, float]:
         """Return the two-sided interval of one coefficient."""
-        return self.interval_of(np.eye(self.value.size)[index], level)
+        return self.interval_of(np.eye(self.value.size)[index])
 
-    def interval_of(self, gradient: FloatArray, level: float = LEVEL) -> tuple[float, float]:
+    def interval_of(self, gradient: FloatArray) -> tuple[float, float]:
         """Return the interval of `gradient @ value` (delta method for a function with that gradient)."""
         centre = float(gradient @ self.value)
         deviation = float(np.sqrt(gradient @ self.covariance @ gradient))
-        half = half_width(self.degrees_of_freedom(gradient), level) * deviation
+        half = half_width(self.degrees_of_freedom(gradient)) * deviation
         return centre - half, centre + half
 
     def degrees_of_freedom(self, gradient: FloatArray) -> float:
@@ -78,15 +78,15 @@ class Estimate:
         return min(freedom, MOST_FREEDOM)
 
 
-def block_labels(lengths: list[int], blocks: int = BLOCKS) -> list[NDArray[np.int64]]:
+def block_labels(lengths: list[int]) -> list[NDArray[np.int64]]:
     """Return the labels of contiguous blocks over several logs, (n,) for each log; no block contains two logs.
 
-    With fewer logs than `blocks` the blocks have about equal length; otherwise each log is one block.
+    With fewer logs than `BLOCKS` the blocks have about equal length; otherwise each log is one block.
     """
     total = sum(lengths)
     labels, first = [], 0
     for n in lengths:
-        count = max(1, round(blocks * n / total)) if len(lengths) < blocks else 1
+        count = max(1, round(BLOCKS * n / total)) if len(lengths) < BLOCKS else 1
         labels.append(first + (np.arange(n, dtype=np.int64) * count) // max(1, n))
         first += count
     return labels

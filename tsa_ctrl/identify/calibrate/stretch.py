@@ -5,7 +5,7 @@ angle of the log. The Gauss-Newton method finds the parameters with the least er
 torque if it was measured:
 
     ln of the stiffness   (one factor for E A and a series spring; while all slides, s over tau_M has slope 1/(2 k_t))
-    s_c                   (centre of the bends; then the whole curvature profile, `course`)
+    s_c                   (centre of the bends; then the whole curvature profile, `find_course`)
     ln x                  (at the model's pretension; s differs between both directions by x T_p (1 - s_c)/k_t)
     J_M, and the zero of s of each log
 
@@ -19,19 +19,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import TooStillError, UsageError
-from tsa_ctrl.identify.calibrate.course import ROUNDS, find_course
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import block_labels, solve
 from tsa_ctrl.identify.calibrate.tendon_log import TendonLog, foretold, taken, varied
 from tsa_ctrl.identify.dataset import Dataset, check_distinct
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.curvature import Points, Profile
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of
@@ -39,6 +39,7 @@ from tsa_ctrl.outputs import json_types
 
 FloatArray = NDArray[np.float64]
 
+ROUNDS = 12  # most iterations of the Gauss-Newton method; a small change usually ends it earlier
 STEPS = (0.01, 0.01, 0.02, 1e-5)  # steps of ln k, s_c, ln x, J_M for derivatives: they exceed single contacts
 MOST = (0.3, 0.1, 0.3, 2e-4)  # largest change of the same parameters in one iteration, so that the search converges
 # 95 % error of the same parameters due to the chain of contacts. With it added to the scatter of the blocks, the
@@ -93,6 +94,7 @@ class StretchFit:
 
 
 _Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # regressors, residuals, block labels
+Foretold = tuple[FloatArray, FloatArray, NDArray[np.bool_]]  # elongation, joint torque and mask, as `foretold` returns
 
 
 def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
@@ -211,34 +213,47 @@ def _linear(
                 f"{log.name}: the tendons did not slide all along in both directions; move the joint both ways, or "
                 "give a held joint more torque than the friction takes"
             )
-        columns = np.zeros((2, log.stretch.size, p.size))
-        for place in range(4):
-            if place not in free:
-                continue
-            up, down = p.copy(), p.copy()
-            up[place] += step[place]
-            down[place] -= step[place]
-            a, b = _foretold(log, model, up), _foretold(log, model, down)
-            columns[0, :, place] = (a[0] - b[0]) / (2.0 * step[place])
-            columns[1, :, place] = (a[1] - b[1]) / (2.0 * step[place])
+
+        def at(q: FloatArray, log: TendonLog = log) -> Foretold:
+            return _foretold(log, model, q)
+
+        columns = _derivatives(at, log, p, [place for place in free if place < 4], step)
         columns[0, :, 4 + n] = columns[1, :, 4 + count + n] = 1.0
         rests = [log.stretch - stretch - p[4 + n]]
         if log.tau_j is not None and sensor:
             rests.append(log.tau_j - torque - p[4 + count + n])
         for channel, rest in enumerate(rests):
             parts[channel].append((columns[channel][known][:, free], rest[known], labels[n][known]))
-    rows, rests, blocks, deviations = [], [], [], []
-    for part in parts:
-        if part:
-            rest = np.concatenate([each[1] for each in part])
-            deviation = float(np.sqrt(np.mean(np.square(rest))))
-            deviations.append(deviation)
-            rows.append(np.concatenate([each[0] for each in part]) / deviation)
-            rests.append(rest / deviation)
-            blocks.append(np.concatenate([each[2] for each in part]))
-    whole, bad = np.concatenate(rows), np.concatenate(rests)
+    rows, residuals, deviations = zip(*(_scaled(part) for part in parts if part), strict=True)
+    whole, bad = np.concatenate(rows), np.concatenate(residuals)
+    blocks = np.concatenate([each[2] for part in parts for each in part])
     finite = np.isfinite(whole).all(axis=1) & np.isfinite(bad)
-    return whole[finite], bad[finite], np.concatenate(blocks)[finite], deviations[0]
+    return whole[finite], bad[finite], blocks[finite], deviations[0]
+
+
+def _derivatives(
+    at: Callable[[FloatArray], Foretold], log: TendonLog, p: FloatArray, places: Sequence[int], step: FloatArray
+) -> FloatArray:
+    """Return the derivatives (2, n, size of p) of elongation and joint torque with respect to the parameters `places`.
+
+    The derivatives with respect to the other parameters are 0.
+    """
+    columns = np.zeros((2, log.stretch.size, p.size))
+    for place in places:
+        up, down = p.copy(), p.copy()
+        up[place] += step[place]
+        down[place] -= step[place]
+        a, b = at(up), at(down)
+        for channel in range(2):
+            columns[channel, :, place] = (a[channel] - b[channel]) / (2.0 * step[place])
+    return columns
+
+
+def _scaled(part: Sequence[_Part]) -> tuple[FloatArray, FloatArray, float]:
+    """Return regressors and residuals of one channel over all logs, divided by the RMS residual, and this RMS value."""
+    rest = np.concatenate([each[1] for each in part])
+    deviation = float(np.sqrt(np.mean(np.square(rest))))
+    return np.concatenate([each[0] for each in part]) / deviation, rest / deviation, deviation
 
 
 def _result(
@@ -284,3 +299,93 @@ def _result(
         notes=tuple(notes),
         model=model,
     )
+
+
+# Estimate the curvature profile from logs with a joint torque sensor.
+#
+# Sliding reveals only the centre of the bends. A reversal reveals the rest: its slip front runs from the motor through
+# one bend after another, and meanwhile its position determines elongation and joint torque. The profile is described by
+# the positions of `PLACES` equal shares of the bending. The Gauss-Newton method finds these positions, stiffness,
+# friction and motor inertia with the least error of elongation and joint torque. If the log contains no information,
+# the positions of the given profile are kept. Modelling two bends with a straight piece between them as one even bend
+# causes an error of up to 20 mN*m RMS of 300 mN*m on simulated rigs.
+
+PLACES = 6  # number of positions; 8 do not improve the result on simulated rigs
+SHARES = (np.arange(PLACES) + 0.5) / PLACES  # cumulative shares of the bending, at the middle of equal parts
+SPREAD = 0.1  # prior standard deviation of a position, as a share of the length
+ALIKE_FOR = 0.1  # s, correlation time of the tendon model's error: samples within it count as one
+ENOUGH = 2e-3  # share of the length: the search ends when all positions move by less
+# Steps of ln k, ln x, J_M and the positions for derivatives: they exceed single contacts
+COURSE_STEPS = np.array([0.01, 0.02, 1e-5, *np.full(PLACES, 0.01)])
+# Largest change of the same parameters in one iteration, so that the search converges
+COURSE_MOST = np.array([0.1, 0.1, 1e-4, *np.full(PLACES, 0.08)])
+DIGITS = 4  # decimals of a position, more than the logs determine
+
+
+def course_of(places: FloatArray) -> Points:
+    """Return the profile through these positions (shares of the length), extended by half a share at each end."""
+    low = max(0.0, places[0] - 0.5 * (places[1] - places[0]))
+    high = min(1.0, places[-1] + 0.5 * (places[-1] - places[-2]))
+    points = [(0.0, 0.0), (low, 0.0), *zip(places, SHARES, strict=True), (high, 1.0), (1.0, 1.0)]
+    return tuple(dict.fromkeys((round(float(u), DIGITS), round(float(b), DIGITS)) for u, b in points))
+
+
+def find_course(logs: Sequence[TendonLog], model: TendonSheath, motor_inertia: float) -> TendonSheath:
+    """Return the model with the estimated `bending_course`, stiffness and friction.
+
+    If the centre of the estimated bends is outside the permitted range, the given model is returned.
+
+    Args:
+        motor_inertia: kg*m^2, start value of J_M.
+    """
+    even = np.array(profile_of(model).points)
+    begin = np.interp(SHARES, even[:, 1] + 1e-12 * np.arange(len(even)), even[:, 0])
+    p = np.concatenate(([0.0, 0.0, motor_inertia], begin))
+    held = np.eye(PLACES) - 1.0 / PLACES  # no prior on the centre, because the whole log determines it
+    for _ in range(ROUNDS):
+        rows, rest = _linear_in_course(logs, model, p)
+        seconds = sum(log.stretch.size * log.period for log in logs)
+        weight = math.sqrt(ALIKE_FOR * rest.size / seconds) / SPREAD
+        prior = np.zeros((PLACES, rows.shape[1]))
+        prior[:, 3 : 3 + PLACES] = weight * held
+        rest = np.concatenate((rest, prior[:, 3 : 3 + PLACES] @ (begin - p[3:])))
+        found = np.linalg.lstsq(np.concatenate((rows, prior)), rest, rcond=None)[0][: p.size]
+        change = np.clip(found, -COURSE_MOST, COURSE_MOST)
+        p += change
+        p[3:] = np.clip(np.maximum.accumulate(p[3:]), 0.0, 1.0)
+        if np.max(np.abs(change[3:])) < ENOUGH:
+            break
+    return _with_course(model, p)
+
+
+def _with_course(model: TendonSheath, p: FloatArray) -> TendonSheath:
+    course = Profile(course_of(np.clip(p[3:], 0.0, 1.0)))
+    if not CENTRES[0] < course.centre < CENTRES[1]:
+        return model
+    bent = dataclasses.replace(model, bending_course=course.points, bending_centre=course.centre)
+    return varied(bent, float(p[0]), course.centre, float(p[1]))
+
+
+def _linear_in_course(logs: Sequence[TendonLog], model: TendonSheath, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return regressors and residuals of one iteration; the last columns are for the zeros of the two channels.
+
+    Regressors and residuals of elongation and joint torque are each divided by the RMS error of the channel.
+    """
+    labels = block_labels([log.stretch.size for log in logs])
+    parts: tuple[list[_Part], list[_Part]] = ([], [])
+    for number, log in enumerate(logs):
+        assert log.tau_j is not None
+
+        def at(q: FloatArray, log: TendonLog = log) -> Foretold:
+            return foretold(log, _with_course(model, q), float(q[2]))
+
+        *first, known = at(p)
+        derivatives = _derivatives(at, log, p, range(p.size), COURSE_STEPS)
+        columns = np.concatenate([derivatives, np.zeros((2, log.stretch.size, 2 * len(logs)))], axis=2)
+        for channel, measured in enumerate((log.stretch, log.tau_j)):
+            columns[channel, :, p.size + 2 * number + channel] = 1.0
+            rest = measured - first[channel]
+            kept = known & np.isfinite(rest) & np.isfinite(columns[channel]).all(axis=1)
+            parts[channel].append((columns[channel][kept], rest[kept] - np.median(rest[kept]), labels[number][kept]))
+    lines, residuals, _ = zip(*(_scaled(part) for part in parts), strict=True)
+    return np.concatenate(lines), np.concatenate(residuals)
