@@ -38,11 +38,10 @@ from tsa_ctrl.control.settings import (
 from tsa_ctrl.control.tension_estimator import unsupported_reason as unsupported_by_tension
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
-from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.model.parameters import TendonSheath, check_consistent, load_tendon_sheath
 from tsa_ctrl.model.plausible import (
     check_against_command,
     check_against_motor,
-    check_consistent,
     check_motion,
     check_set_point,
 )

@@ -16,8 +16,7 @@ from tests.model.actuator import ACTUATOR
 from tests.virtual.files import controller, merged, write
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.parameters import TendonSheath, dump_model, model_from
-from tsa_ctrl.model.plausible import check_consistent
+from tsa_ctrl.model.parameters import TendonSheath, check_consistent, dump_model, model_from
 
 EXAMPLE = tomllib.loads((ROOT / "config" / "actuator.toml").read_text(encoding="utf-8"))
 

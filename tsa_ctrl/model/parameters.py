@@ -7,6 +7,7 @@ product x = mu Theta (`friction_angle`) and T_p0 (`pretension`) are identifiable
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,6 @@ from tsa_ctrl.model.actuator_file import (
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
 from tsa_ctrl.model.effects.specification import Kind
-from tsa_ctrl.model.plausible import OFFLINE, check_consistent
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 from tsa_ctrl.model.routing import Routing
 
@@ -386,3 +386,82 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
         "pretension": {"value": model.pretension, "length_change": None},
         "uncertainty": uncertainty,
     }
+
+
+# Limits of the consistency of one file: two numbers may contradict each other although each is possible. A wrong unit
+# is wrong by a factor of 10 to 1000. These are limits of materials, so they need no tuning.
+#
+#     E = EA / (pi d^2 / 4)       modulus of the tendon: soft polymer to carbon fibre
+#     sigma = T_p0 / (pi d^2 / 4) stress at the pretension: the strongest wire
+#     epsilon = T_p0 / EA         strain at the pretension: the most extensible strong fibre
+#     R = l_us / Theta            mean radius of the bends: more than the tendon's own diameter
+#     r_J / r_M                   ratio of two pulleys that share tendons
+
+MODULUS = (0.3e9, 1000e9)  # Pa; a soft polymer has 0.5 GPa, the stiffest carbon fibre 900 GPa
+STRENGTH = 3e9  # Pa, of the strongest steel wire; fibres are stronger, but fill only a part of a tendon's diameter
+STRAIN = 0.04  # 1, breaking strain of the most extensible strong fibres (polyethylene, aramid)
+SPRING_TRAVEL = 0.2  # 1, largest elongation of tendon and series spring by the pretension, over the tendon's length
+MOST_FRICTION_ANGLE = 3.0  # 1; exp(3) = 20, so a twentieth of the tension reaches the joint
+RATIO = 10.0  # 1, r_J/r_M or r_M/r_J; one tendon runs over both pulleys, so a larger ratio needs a gear
+# Factor by which a file that no motor uses may exceed these limits. A log of a rig with a wrong unit can still be
+# calibrated and diagnosed, and a table of random models needs no real material.
+OFFLINE = 1e3
+
+
+def check_consistent(model: TendonSheath, tolerance: float = 1.0) -> None:
+    """Compare the numbers of one model file with each other.
+
+    Args:
+        model: the tendons and their sheaths.
+        tolerance: factor by which a value may exceed its limit.
+
+    Raises:
+        UsageError: Two of them contradict each other. The message has both values, the range and the likely unit error.
+    """
+    where, tension = model.source or "model", model.pretension
+    ratio = model.joint_pulley_radius / model.motor_pulley_radius
+    if not 1.0 / RATIO / tolerance <= ratio <= RATIO * tolerance:
+        raise UsageError(
+            f"{where}: [actuator] joint_pulley_radius {model.joint_pulley_radius:g} m over motor_pulley_radius "
+            f"{model.motor_pulley_radius:g} m is {ratio:.3g}; allowed is {1.0 / RATIO:g} to {RATIO:g}: give both radii "
+            "in m, and a gear of the motor as [axis.drive] gear_ratio"
+        )
+    area = math.pi * model.diameter**2 / 4.0
+    modulus, stress, strain = model.axial_stiffness / area, tension / area, tension / model.axial_stiffness
+    given = f"[tendon] axial_stiffness {model.axial_stiffness:g} N and diameter {model.diameter:g} m"
+    if not MODULUS[0] / tolerance <= modulus <= MODULUS[1] * tolerance:
+        raise UsageError(
+            f"{where}: {given} give a modulus of {1e-9 * modulus:.3g} GPa; allowed is {1e-9 * MODULUS[0]:g} to "
+            f"{1e-9 * MODULUS[1]:g} GPa (soft polymer to carbon fibre): give E A in N, not in kN, and the diameter in m"
+        )
+    if strain > STRAIN * tolerance:
+        raise UsageError(
+            f"{where}: the pretension of {tension:g} N strains a tendon of axial_stiffness {model.axial_stiffness:g} N "
+            f"by {100.0 * strain:.3g} %; allowed is {100.0 * STRAIN:g} %, where fibres break: give the pretension in N "
+            "(gram-force times 0.00981) and E A in N"
+        )
+    if stress > STRENGTH * tolerance:
+        raise UsageError(
+            f"{where}: the pretension of {tension:g} N stresses a tendon of diameter {model.diameter:g} m by "
+            f"{1e-9 * stress:.3g} GPa; allowed is {1e-9 * STRENGTH:g} GPa, the strongest wire: give the pretension in "
+            "N (gram-force times 0.00981) and the diameter in m"
+        )
+    lengthened = tension / model.tendon_stiffness / model.unstrained_length
+    if lengthened > SPRING_TRAVEL * tolerance:
+        raise UsageError(
+            f"{where}: the pretension of {tension:g} N lengthens tendon and series_stiffness "
+            f"{model.series_stiffness or 0.0:g} N/m by {100.0 * lengthened:.3g} % of unstrained_length; allowed is "
+            f"{100.0 * SPRING_TRAVEL:g} %: give series_stiffness in N/m, not in N/mm"
+        )
+    if model.friction_angle > MOST_FRICTION_ANGLE * tolerance:
+        raise UsageError(
+            f"{where}: [sheath] friction_coefficient {model.friction_coefficient:g} times bending_angle "
+            f"{model.bending_angle:g} rad is {model.friction_angle:.3g}; allowed is {MOST_FRICTION_ANGLE:g}, where 5 % "
+            "of the tension arrives: give the bending angle in rad, not in degrees"
+        )
+    if model.bending_angle * model.diameter > model.unstrained_length * tolerance:
+        raise UsageError(
+            f"{where}: [sheath] bending_angle {model.bending_angle:g} rad within unstrained_length "
+            f"{model.unstrained_length:g} m bends to a radius below the tendon's diameter of {model.diameter:g} m: "
+            "give lengths in m and the angle in rad"
+        )

@@ -32,10 +32,11 @@ from tsa_ctrl.model.effects.motor import (
     TorqueSaturation,
     VelocityLag,
 )
-from tsa_ctrl.model.effects.other_joints import PretensionPerJointAngle, RoutingByJoint
 from tsa_ctrl.model.effects.pretension import (
     ConfigurationDependentBending,
+    PretensionPerJointAngle,
     PretensionRelaxation,
+    RoutingByJoint,
     StiffnessNonlinearity,
 )
 from tsa_ctrl.model.effects.stretch import JointPlay, PulleySlip, SeriesSpring, TendonCreep
