@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.units import in_other_units
 from tsa_ctrl.model.signals import low_pass, zero_phase_derivative
 
 Array = NDArray[np.float64]
@@ -31,19 +32,7 @@ NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s: the delay of a filter is reported, an
 FEWEST_TURNS = 4  # least number of crossings of the mean for which time shift and scale are separately identifiable
 CERTAIN = 0.99  # correlation above which a shift in time is reported
 
-UNITS = {  # for angles or velocities, and for torques: factor by which a column is too large, and the likely unit
-    "motion": (
-        (180.0 / math.pi, "degrees"),
-        (30.0 / math.pi, "rpm"),
-        (0.5 / math.pi, "revolutions"),
-        (1000.0, "mrad"),
-    ),
-    "torque": (
-        (9.5, "kgf*cm or lbf*in"),
-        (100.0, "N*cm"),
-        (1000.0, "N*mm, mN*m or per mille of the rated torque"),
-    ),
-}
+UNITS = {180.0 / math.pi: "degrees", 30.0 / math.pi: "rpm", 1000.0: "mrad"}  # number of units in one rad or rad/s
 NEAR = 1.25  # factor either way within which a unit is recognised
 
 
@@ -186,25 +175,31 @@ def column_of(text: str) -> str:
 
 def in_words(factor: float) -> str:
     """Return a factor as text."""
-    return "180/pi" if 1.0 / NEAR < factor * math.pi / 180.0 < NEAR else f"{factor:.4g}"
+    return "180/pi" if _near(factor, 180.0 / math.pi) else f"{factor:.4g}"
 
 
 def likely(first: str, second: str, factor: float) -> str:
     """Return the unit that would explain the factor by which `second` exceeds `first`, and the remedy."""
-    kind = "torque" if second.startswith("tau") else "motion"
     over = factor > 1.0
-    column = second if over else column_of(first)
+    larger, smaller = (second, column_of(first)) if over else (column_of(first), second)
     size = factor if over else 1.0 / factor
-    proper = {"t": "N*m", "q": "rad", "o": "rad/s", "a": "rad/s^2"}[column[0]]
-    if kind == "motion" and 1.0 / NEAR < size / 1000.0 < NEAR and first.startswith("d") and over:
+    proper = {"t": "N*m", "q": "rad", "o": "rad/s", "a": "rad/s^2"}[larger[0]]
+    unknown = f"one of them has another unit, gain or source: convert it to {proper}"
+    if second.startswith("tau"):
+        fitting = in_other_units(size / NEAR, size * NEAR)
+        return f"{larger} seems to be {fitting}: use N*m" if fitting.startswith("in ") else unknown
+    if _near(size, 1000.0) and first.startswith("d") and over:
         return "t seems to be in milliseconds: use s"
-    for known, unit in UNITS[kind]:
-        if known > 1.0 and 1.0 / NEAR < size / known < NEAR:
-            per = "/s" if unit not in ("rpm",) and proper.endswith("/s") else ""
-            return f"{column} seems to be in {unit}{per}: use {proper}"
-        if known < 1.0 and 1.0 / NEAR < size * known < NEAR:
-            other = column_of(first) if over else second
-            return f"{other} seems to be in {unit}: convert it"
-    if kind == "motion" and size > 10.0:
-        return f"{column} seems to be in counts or mm, or a column of another log: convert it to {proper}"
-    return f"one of them has another unit, gain or source: convert it to {proper}"
+    for known, unit in UNITS.items():
+        if _near(size, known):
+            per = "/s" if unit != "rpm" and proper.endswith("/s") else ""
+            return f"{larger} seems to be in {unit}{per}: use {proper}"
+    if _near(size, 2.0 * math.pi):
+        return f"{smaller} seems to be in revolutions: convert it"
+    if size > 10.0:
+        return f"{larger} seems to be in counts or mm, or a column of another log: convert it to {proper}"
+    return unknown
+
+
+def _near(size: float, factor: float) -> bool:
+    return 1.0 / NEAR < size / factor < NEAR

@@ -57,12 +57,9 @@ def carry_out(job: Job) -> Done:
         try:
             result = diagnose(load_logs([log], job.strict), load_model(model), seed=job.seed)
             write(result, folder / "report", model)
-        except TsaError as error:
-            return Done(Row(job.name, job.key, "error", error=_plain(error, log, model)), {})
-        except Exception as error:  # an unexpected error on one log must not end the whole run
-            return Done(
-                Row(job.name, job.key, "error", error=f"{type(error).__name__}: {_plain(error, log, model)}"), {}
-            )
+        except Exception as error:  # an error on one log, even an unexpected one, must not end the whole run
+            kind = "" if isinstance(error, TsaError) else f"{type(error).__name__}: "
+            return Done(Row(job.name, job.key, "error", error=f"{kind}{_plain(error, log, model)}"), {})
         files = {path.name: path.read_bytes() for path in sorted((folder / "report").iterdir()) if path.is_file()}
         return Done(row_of(job.name, job.key, result), files)
 
