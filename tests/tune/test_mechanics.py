@@ -183,7 +183,7 @@ def learned_of(model: TendonSheath) -> Estimate:
     """Return an estimate whose friction torque is known to 2 %."""
     loop = around(0.5, "N*m")
     calibration = Calibration(loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, 0.1, 0.1, "", (), model)
-    return Estimate(model, calibration, Form.GIVEN, {}, (), ())
+    return Estimate(model, calibration, Form.GIVEN, (), ())
 
 
 def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,21 @@ def jackknife_half_width(without: Sequence[float] | NDArray[np.float64]) -> floa
     count = estimates.size
     deviation = math.sqrt((count - 1) / count * float(np.sum(np.square(estimates - estimates.mean()))))
     return half_width(count - 1) * deviation
+
+
+def jackknife(
+    parts: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    value: Callable[[NDArray[np.float64], NDArray[np.float64]], float],
+) -> tuple[float, float]:
+    """Return a result of normal equations and the half width of its interval.
+
+    Args:
+        parts: the equations of each block of time: squares (k, k) and products (k,) or (k, m).
+        value: function that returns the result of the summed equations.
+    """
+    squares, products = (np.sum(each, axis=0) for each in zip(*parts, strict=True))
+    half = jackknife_half_width([value(squares - a, products - b) for a, b in parts])
+    return value(squares, products), half
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch
 from tsa_ctrl.identify.dataset import Dataset, load_log
-from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width, spelled
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife, spelled
 from tsa_ctrl.identify.simulation_picture import COLOURS, MEASURED
 from tsa_ctrl.log.info import inspect
 from tsa_ctrl.log.table import ENDINGS, sha256_of
@@ -184,10 +184,7 @@ def _by_bending(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quanti
     part = np.arange(len(x)) * BLOCKS // len(x)
     slides = np.abs(omega) > SLIDING * np.max(np.abs(omega))
     grams = [(rows[k].T @ rows[k], rows[k].T @ log["tau_j"][k]) for k in (slides & (part == n) for n in range(BLOCKS))]
-    gram, right = (sum(each[place] for each in grams) for place in range(2))
-    value = float(np.linalg.lstsq(gram, right, rcond=None)[0][2])
-    without = [float(np.linalg.lstsq(gram - a, right - b, rcond=None)[0][2]) for a, b in grams]
-    half = jackknife_half_width(without)
+    value, half = jackknife(grams, lambda gram, right: float(np.linalg.lstsq(gram, right, rcond=None)[0][2]))
     yield "tension_per_path", Quantity(value, value - half, value + half, "N/m")
 
 

@@ -17,7 +17,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, prepare
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife
 from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
 from tsa_ctrl.model.composition import pretension_at
 from tsa_ctrl.model.curvature import NAMED, Points, Profile
@@ -106,10 +106,7 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
     prepared = {log.name: log for log in prepare(logs, model, {})}
     rows = [_rows(log, prepared[log.name], model) for log in logs if log.name in prepared]
     squares = [(a.T @ a, a.T @ b) for a, b in (part for pair in rows for part in _blocks(*pair))]
-    whole = np.sum([a for a, _ in squares], axis=0), np.sum([b for _, b in squares], axis=0)
-    ratio = _ratio(*whole)
-    without = np.array([_ratio(whole[0] - a, whole[1] - b) for a, b in squares])
-    half = jackknife_half_width(without)
+    ratio, half = jackknife(squares, _ratio)
     x = model.friction_angle
     centres = [_centre(share, x) for share in (ratio, ratio + half, ratio - half)]
     centre = Quantity(centres[0], max(0.0, min(centres) - FLOOR), min(1.0, max(centres) + FLOOR), "1")
@@ -206,7 +203,6 @@ class Estimate:
         model: new model.
         calibration: calibration of the chosen form of the transmission.
         form: chosen form of the transmission.
-        errors: RMS error while sliding by form, N*m. All forms have the same two free parameters.
         effects: names of the added effects.
         notes: notes for the report.
         parameters: other estimated values by name. The name of an effect's parameter is "effect.parameter".
@@ -216,7 +212,6 @@ class Estimate:
     model: TendonSheath
     calibration: Calibration
     form: Form
-    errors: Mapping[Form, float]
     effects: tuple[str, ...]
     notes: tuple[str, ...]
     parameters: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
@@ -272,7 +267,7 @@ def estimate(
             f"{1e3 * errors[Form.GIVEN]:.1f} mN*m); at a single bending angle an error of the "
             "torque constant would look the same"
         )
-    chosen = Estimate(found[best].model, found[best], best, errors, (), tuple(notes))
+    chosen = Estimate(found[best].model, found[best], best, (), tuple(notes))
     return _late(chosen, logs) if forms else chosen
 
 
@@ -302,7 +297,6 @@ def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_
         model=result.model,
         calibration=result,
         form=form,
-        errors={form: sliding_error(logs, result.model)},
         effects=(),
         notes=tuple(notes),
         parameters={"centre of the bending": found.centre},
@@ -365,7 +359,6 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
         model=better,
         calibration=_as_extended(without.calibration, found, better),
         form=Form.GIVEN,
-        errors=without.errors,
         effects=tuple(cause.effect for cause in causes),
         notes=(f"diagnosis: {found.sentence}", *notes),
         parameters={

@@ -15,7 +15,7 @@ from tsa_ctrl.errors import BusError, TooStillError, UsageError
 from tsa_ctrl.identify.calibrate import errors_of, routing_of_logs
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
-from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width, rounded
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife, rounded
 from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
@@ -87,12 +87,10 @@ def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
         doubt = 2.0 * model.axial_stiffness_uncertainty * compliance * abs(follows)
     scale = np.abs(columns).max(axis=0)
     pieces = np.array_split(np.arange(beyond.size), BLOCKS)
-    squares = [columns[piece].T @ (columns[piece] / scale) / scale[:, None] for piece in pieces]
-    products = [columns[piece].T @ beyond[piece] / scale for piece in pieces]
-    whole, right = np.sum(squares, axis=0), np.sum(products, axis=0)
-    value = _first(whole, right) / scale[0]
-    without = [_first(whole - a, right - b) / scale[0] for a, b in zip(squares, products, strict=True)]
-    half = jackknife_half_width(without) + doubt
+    scaled = columns / scale
+    parts = [(scaled[piece].T @ scaled[piece], scaled[piece].T @ beyond[piece]) for piece in pieces]
+    value, half = jackknife(parts, lambda squares, products: _first(squares, products) / scale[0])
+    half += doubt
     return Quantity(gear + value, gear + value - half, gear + value + half, "1")
 
 
