@@ -23,24 +23,6 @@ def test_order_of_the_table_is_the_order_of_composition() -> None:
     assert len(CATALOGUE) == len(EFFECTS)
 
 
-def test_effects_within_a_stage_keep_their_order() -> None:
-    """Gain precedes ripple and motor friction. Bending precedes stiffness and relaxation."""
-    names = list(CATALOGUE)
-    chain = [
-        ("torque_constant_error", "torque_ripple", "motor_side_friction"),
-        ("configuration_dependent_bending", "stiffness_nonlinearity", "pretension_relaxation"),
-        ("stribeck_friction", "thermal_friction_drift", "tension_dependent_friction"),
-    ]
-    for group in chain:
-        assert [names.index(name) for name in group] == sorted(names.index(name) for name in group)
-
-
-def test_parameters_are_read_from_the_class() -> None:
-    """Name and default come from a field, unit and bounds from its annotation."""
-    last = CATALOGUE["torque_ripple"].parameters[-1]
-    assert last == Parameter("rad", low=-math.pi, high=math.pi, name="phase", default=0.0)
-
-
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_what_is_hidden_is_allowed(spec: Specification) -> None:
     """Ten random trials of the demo are within the effect's bounds."""

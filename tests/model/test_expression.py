@@ -35,34 +35,19 @@ def test_a_formula_has_its_value(text: str, value: float) -> None:
     ("text", "said"),
     [
         ("__import__('os').system('true')", "is not allowed"),
-        ("q_j.real", "is not allowed"),
-        ("[q_j][0]", "is not allowed"),
         ("(lambda: 1)()", "is not allowed"),
         ("sin(q_j, 1)", "is not allowed"),
-        ("sin(x=q_j)", "is not allowed"),
         ("q_j if q_j else 1", "is not allowed"),
-        ("q_j // 2", "is not allowed"),
         ("True", "is not allowed"),
-        ("1j", "is not allowed"),
-        ("'a'", "is not allowed"),
         ("q_i", "did you mean 'q_j'"),
-        ("lags(tau, 1)", "is not allowed"),
         ("lag(tau)", r"'lag\(tau\)': found 1 argument\(s\); write lag\(x, T\)"),
-        ("ring(tau, 1)", r"write ring\(x, f, d\)"),
-        ("dahl(tau, 1, 2)", r"write dahl\(x, w\)"),
-        ("lag(x=tau)", "is not allowed"),
         ("lag(tau, T=1)", "is not allowed"),
         ("lag(tau, -1)", "T = -1; allowed is 1e-06 to 1e"),
-        ("lag(tau, 0)", "T = 0; allowed"),
         ("lag(tau, 1e999)", "T = inf; allowed"),
         ("ring(tau, 5, 1.5)", "d = 1.5; allowed is 1e-06 to 1"),
-        ("dahl(tau, 0)", "w = 0; allowed"),
         ("lag(tau, omega_j)", "T is not a constant"),
         ("inside(q_j, 1, 0)", "two constants, low < high"),
-        ("inside(q_j, 0, 1e999)", "two constants, low < high"),
         ("inside(q_j, tau, 2)", "two constants"),
-        ("inside(q_j, 1)", "two constants"),
-        ("lag(tau, True)", "T is not a constant"),
         ("lag(1 + dahl(tau, 1), 1)", "dahl within lag"),
         ("lag", "is neither a signal nor a parameter"),
         ("+".join(["lag(tau, 1)"] * 5), "more than 4 functions with a memory"),
@@ -98,11 +83,6 @@ def test_a_formula_is_kept_in_its_range_and_fades_out_beyond() -> None:
         assert abs(program.value((0.0, q, 0.0))) < 0.003 * abs(q)
 
 
-def test_exp_saturates_instead_of_overflowing() -> None:
-    program = parse("exp(q_j)", NAMES, {}, "x")
-    assert program.value((0.0, 1e9, 0.0)) == math.exp(700.0)
-
-
 FORMULAS = st.recursive(
     st.sampled_from(["q_j", "omega_j", "tau", "0.5", "2", "k"]),
     lambda inner: st.one_of(
@@ -128,3 +108,8 @@ def test_both_machines_agree(text: str, values: tuple[float, float, float]) -> N
 def test_a_program_knows_what_it_depends_on() -> None:
     program = parse("sin(q_j) + k", NAMES, {"k": 1.0}, "x")
     assert (program.uses("q_j"), program.uses("tau")) == (True, False)
+
+
+def test_exp_saturates_instead_of_overflowing() -> None:
+    program = parse("exp(q_j)", NAMES, {}, "x")
+    assert program.value((0.0, 1e9, 0.0)) == math.exp(700.0)

@@ -35,10 +35,7 @@ def rejected(changes: dict[str, dict[str, float]], words: str) -> str:
     ("table", "key", "value", "words"),
     [
         ("actuator", "motor_pulley_radius", 20.0, "<= 0.5, found 20 .*divide millimetres"),
-        ("actuator", "joint_pulley_radius", 0.025e-3, ">= 0.001, found 2.5e-05"),
-        ("tendon", "diameter", 0.6, "<= 0.01, found 0.6 .*divide mm"),
         ("tendon", "unstrained_length", 1200.0, "<= 20.0, found 1200 .*divide millimetres"),
-        ("sheath", "friction_coefficient", 1.0, "<= 0.8, found 1 .*steel on steel"),
         ("sheath", "bending_angle", 149.0, "<= 18.8.*, found 149 .*degrees"),
         ("sheath", "contact_offset", 0.4, "<= 0.02, found 0.4 .*divide mm"),
         ("uncertainty", "pretension", 25.0, "<= 10.0, found 25 .*per cent"),
@@ -52,7 +49,6 @@ def test_a_number_that_no_such_part_has_is_rejected(table: str, key: str, value:
     ("changes", "words"),
     [
         ({"tendon": {"axial_stiffness": 60.0}}, "modulus of 0.212 GPa; allowed is 0.3 to 1000 GPa.*not in kN"),
-        ({"tendon": {"axial_stiffness": 60e6}}, "modulus of 2.12e.05 GPa"),
         ({"pretension": {"value": 4500.0}}, "strains .* by 7.5 %; allowed is 4 %.*gram-force"),
         ({"pretension": {"value": 10.0 / 0.00981}}, "stresses .* 3.61 GPa; allowed is 3 GPa.*gram-force"),
         ({"tendon": {"diameter": 0.06e-3}}, "modulus of 2.12e.04 GPa.*diameter in m"),
@@ -79,8 +75,6 @@ def test_a_value_a_thousand_times_beyond_its_limit_is_rejected_by_every_command(
     ("kind", "key", "value", "words"),
     [
         ("rigid_drive", "inertia", 1e6, "<= 1000.0, found 1e.06 .*g.cm"),
-        ("rigid_drive", "coulomb_friction", 1e300, "<= 500.0, found 1e.300 .*N.mm"),
-        ("rigid_drive", "viscous_friction", 2e3, "<= 1000.0, found 2000"),
         ("rigid_drive", "torque_offset", -1e4, ">= -500.0, found -10000"),
         ("geared_drive", "ratio", 1e-9, ">= 0.01, found 1e-09 .*motor turns"),
     ],
@@ -139,16 +133,13 @@ def test_a_calibration_beyond_the_greatest_friction_coefficient_moves_the_angle_
         ({"actuator": {"joint_pulley_radius": 0.25}}, {}, "is 12.5; allowed is 0.1 to 10.*gear_ratio"),
         ({"pretension": {"value": 0.045}}, {}, "slack at 0.0018 N.m .*10 steps .* pretension of 0.25 N"),
         ({"sheath": {"friction_coefficient": 0.0}}, {}, "is 0; allowed is 0.01 to 0.8.*compensation = 0"),
-        ({"sheath": {"friction_coefficient": 0.001}}, {}, "is 0.001; allowed is 0.01"),
         ({"sheath": {"bending_angle": 0.0}}, {}, "is 0 N.m at the motor; allowed is at least one step .* 0.001 N.m"),
         ({"pretension": {"value": 4.5}}, {}, "reaches 0.5 N.m .* slack at 0.225 N.m.*kgf"),
         ({}, {"setpoint": {"amplitude": 500.0}}, "reaches 500 N.m .* allows 3.125 N.m"),
         ({}, {"setpoint": {"offset": -2.7}}, "reaches 3.2 N.m .* allows 3.125 N.m"),
         ({}, {"limits": {"travel": [-120.0, 120.0]}}, "within 18.8 rad .*0.01745"),
-        ({}, {"limits": {"travel": [0.0, 90.0]}}, "within 18.8 rad"),
         ({"tendon": {"unstrained_length": 0.1}}, {"limits": {"travel": [-3.0, 3.0]}}, "a width of at most 4 rad"),
         ({}, {"limits": {"joint_speed": 573.0, "over_speed": 688.0}}, "joint_speed 573 rad/s .* 14.3 m/s.* 200 rad/s"),
-        ({}, {"limits": {"motor_over_speed": 900.0}}, "motor_over_speed 900 rad/s .* 18 m/s"),
     ],
 )
 def test_a_number_that_contradicts_the_rest_of_the_files_is_rejected(

@@ -14,7 +14,7 @@ from tests.model.actuator import ACTUATOR, LOSS, SLOPE, signals, with_effect
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.parameters import GearedDrive, RigidDrive
-from tsa_ctrl.model.predict import BLOCK, beyond_slack, missing_columns, predict
+from tsa_ctrl.model.predict import BLOCK, beyond_slack, predict
 from tsa_ctrl.model.signals import Signals
 
 T = np.arange(2000) / 1000.0
@@ -86,15 +86,6 @@ class TestDomain:
         log = signals(np.arange(5.0), np.ones(5), tau_m=np.array([0.0, 1.79, 1.8, -1.9, -1.0]))
         assert beyond_slack(ACTUATOR, log) == pytest.approx(0.4)
 
-    def test_follows_the_pretension(self) -> None:
-        """A bending angle that raises T_p moves the bound."""
-        log = signals(np.arange(2.0), np.ones(2), tau_m=np.full(2, 1.9), theta=np.array([2.6, 2.8]))
-        assert beyond_slack(ACTUATOR, log) == pytest.approx(0.5)
-
-    def test_plain_drive_has_none(self) -> None:
-        """A plain drive has no tendon that can go slack."""
-        assert beyond_slack(RigidDrive(), signals(T, T)) == 0.0
-
 
 class TestColumns:
     """Effects name their required columns."""
@@ -109,13 +100,6 @@ class TestColumns:
         model = with_effect("presliding_hysteresis", presliding_distance=0.1, displacement="motor")
         with pytest.raises(UsageError, match="needs column q_m"):
             predict(model, signals(T, T, q_j=T))
-
-    def test_all_that_lack_are_listed(self) -> None:
-        """The result lists the effects that a log cannot test."""
-        model = ACTUATOR.with_effects(
-            {"thermal_friction_drift": {"temperature_coefficient": 0.01}, "inertia": {"inertia": 0.1}}
-        )
-        assert missing_columns(model, signals(T, T)) == {"thermal_friction_drift": ("temperature",)}
 
 
 class TestComposition:

@@ -33,10 +33,6 @@ def routed(folder: Path, routing: str) -> Routing:
     return found
 
 
-def test_a_file_without_routing_has_none() -> None:
-    assert load_tendon_sheath(EXAMPLE).routing is None
-
-
 def test_gains_bend_both_sheaths_in_proportion_to_the_joints(tmp_path: Path) -> None:
     """The wrap angle exceeds Theta_0 by 0.8 * 0.5 - 0.3 * 0.2 = 0.34 rad."""
     routing = routed(tmp_path, BOTH)

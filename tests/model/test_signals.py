@@ -23,11 +23,6 @@ def test_empty_log_is_refused() -> None:
         Signals(t=T[:0], tau_m=T[:0], omega_j=T[:0])
 
 
-def test_integers_become_floats() -> None:
-    """Columns are converted to float64."""
-    assert Signals(t=np.arange(3), tau_m=np.arange(3), omega_j=np.arange(3)).tau_m.dtype == np.float64
-
-
 @pytest.mark.parametrize(
     ("omega", "sigma"),
     [

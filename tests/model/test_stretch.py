@@ -59,11 +59,6 @@ def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
         stretch_line(model_of(near, 0.26))
 
 
-def test_angles_become_stretch() -> None:
-    line = stretch_line(actuator())
-    assert line.stretch(1.0, 0.5) == pytest.approx(0.020 - 0.0125)
-
-
 @pytest.mark.parametrize("points", [NAMED["joint_end"], NAMED["uniform"], NAMED["motor_end"], S_BENT])
 @pytest.mark.parametrize("x", [1e-6, 0.26, 0.9])
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])

@@ -10,19 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsa_ctrl.model.curvature import Points, Profile
-from tsa_ctrl.model.effects import transmission
 from tsa_ctrl.model.effects.transmission import Elongating, FourTensions
 from tsa_ctrl.model.functions import SCALARS
 
 R_M, R_J, T_P = 0.020, 0.025, 45.0
-
-
-@given(st.floats(-5.0, 5.0))
-def test_tensions_keep_pretension_and_torque(tau_m: float) -> None:
-    """By (3.40), (T1 + T3)/2 = T_p. By (3.45), r_M (T3 - T1) = tau_M."""
-    t1, t3 = transmission.motor_tensions(tau_m, T_P, R_M)
-    assert (t1 + t3) / 2.0 == pytest.approx(T_P, abs=1e-12)
-    assert R_M * (t3 - t1) == pytest.approx(tau_m, abs=1e-12)
 
 
 @pytest.mark.parametrize("course", ["uniform", "motor_end", [(0.0, 0.0), (0.3, 0.7), (1.0, 1.0)]])

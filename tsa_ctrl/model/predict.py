@@ -170,20 +170,6 @@ def beyond_slack(model: Model, signals: Signals) -> float:
     return float(np.mean(np.abs(signals.tau_m) >= 2.0 * pretension * model.motor_pulley_radius))
 
 
-def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]]:
-    """Return each effect that cannot be computed for this log, with the columns of which one is required.
-
-    Effects that only change the elongation are not included.
-    """
-    rigid = isinstance(model, RigidDrive)
-    return {
-        name: lack
-        for name, parameters in model.effects.items()
-        if CATALOGUE[name].stage is not Stage.STRETCH
-        and (lack := missing_for(name, signals, rigid=rigid, parameters=parameters))
-    }
-
-
 def missing_for(
     effect: str, signals: Signals, *, rigid: bool = False, parameters: Mapping[str, Any] | None = None
 ) -> tuple[str, ...]:
@@ -202,11 +188,14 @@ def missing_for(
 
 
 def _require_columns(model: Model, signals: Signals) -> None:
-    for effect, columns in missing_columns(model, signals).items():
-        raise UsageError(
-            f"{model.source or 'model'}: [effects.{effect}] needs column {' or '.join(columns)}, which the log does "
-            "not have; record it or remove the effect"
-        )
+    rigid = isinstance(model, RigidDrive)
+    for effect, parameters in model.effects.items():
+        columns = missing_for(effect, signals, rigid=rigid, parameters=parameters)
+        if columns and CATALOGUE[effect].stage is not Stage.STRETCH:  # these only change the elongation
+            raise UsageError(
+                f"{model.source or 'model'}: [effects.{effect}] needs column {' or '.join(columns)}, which the log "
+                "does not have; record it or remove the effect"
+            )
     presliding = model.effects.get("presliding_hysteresis", {})
     if presliding.get("displacement") == "motor" and signals.q_m is None:
         raise UsageError(
