@@ -13,7 +13,7 @@ from tests.blind import tendon_logs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import admit
-from tsa_ctrl.identify.calibrate.regression import block_labels, lagged, solve
+from tsa_ctrl.identify.calibrate.regression import solve
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from
 
@@ -91,15 +91,6 @@ def test_split_recovers_both_parameters(kind: str) -> None:
         assert result.pretension.value == pytest.approx(truth["pretension"], rel=0.03)
 
 
-def test_noise_on_the_motor_torque_does_not_bias_the_slope() -> None:
-    """White noise of a third of the signal would reduce an ordinary least-squares slope by a tenth."""
-    rng, rig, model = rig_and_model(4)
-    columns = tendon_logs.record(rig, rng, seconds=60.0)
-    columns["tau_m"] = columns["tau_m"] + 0.33 * np.std(columns["tau_m"]) * rng.normal(size=columns["t"].size)
-    result = calibrate([Dataset.from_arrays(columns, "noisy.csv")], model)
-    assert result.slope.value == pytest.approx(rig.truth()["slope"], rel=0.02)
-
-
 def test_a_motor_torque_that_varies_by_its_noise_alone_is_refused() -> None:
     rng, rig, model = rig_and_model(5)
     columns = tendon_logs.record(rig, rng, seconds=25.0, rate=250.0)
@@ -117,23 +108,6 @@ def test_admission_refuses_the_neighbourhood_of_reversals() -> None:
         assert not admission.mask[np.searchsorted(t, instant)]
     assert admission.reversals == reversals.size
     assert 10.0 < admission.seconds < 17.0
-
-
-def test_solve_is_exact_without_noise() -> None:
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(400, 3))
-    estimate = solve(x, x, x @ np.array([1.0, -2.0, 0.5]), block_labels([400])[0])
-    np.testing.assert_allclose(estimate.value, [1.0, -2.0, 0.5], atol=1e-12)
-
-
-def test_lagged_leaves_a_straight_line_alone() -> None:
-    line = np.arange(50.0)
-    np.testing.assert_allclose(lagged(line, 5)[5:-5], line[5:-5])
-
-
-def test_blocks_never_join_two_logs() -> None:
-    a, b = block_labels([100, 300])
-    assert set(a).isdisjoint(b)
 
 
 def test_the_interval_of_a_mean_over_equal_blocks_is_students() -> None:

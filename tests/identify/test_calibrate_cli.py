@@ -175,27 +175,20 @@ def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("nowhere.csv", "--model", "a.toml"), "nowhere.csv: no such file"),
         (("low.csv", "--model", "nowhere.toml"), "nowhere.toml: no such file"),
         (("low.csv", "--model", "drive.toml"), "tsa diagnose LOG --model drive.toml --out DIR"),
         (("low.csv", "--model", "slack.toml"), "must be above 0"),
         (("low.csv",), "Missing option '--model'"),
-        (("--model", "a.toml"), "Missing argument"),
         (("low.csv", "low.csv", "--model", "a.toml"), "low.csv and low.csv are the same file"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv"), "write LOG=NEWTON"),
-        (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=nan"), "write LOG=NEWTON"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=1e300"), "at most 20000 N"),
-        (("low.csv", "--model", "a.toml", "--cutoff", "1e300"), "0.01<=x<=25000"),
         (("low.csv", "--model", "a.toml", "--tensioner", "other.csv=3"), "matches no log"),
         (("low.csv", "--model", "a.toml", "--hold-out", "low*"), "matches every log; leave at least one"),
         (("low.csv", "--model", "a.toml", "--out", "no/such/folder.toml"), "cannot be written"),
         (("no_tau_j.csv", "--model", "a.toml"), "column tau_j is missing"),
         (("reversed.csv", "--model", "a.toml"), "is reversed"),
         (("one_way.csv", "--model", "a.toml"), "backward motion"),
-        (("still.csv", "--model", "a.toml"), "hardly moves"),
         (("flat.csv", "--model", "a.toml"), "does not change at all"),
-        (("short.csv", "--model", "a.toml"), "at least"),
-        (("gap.csv", "--model", "a.toml"), "row"),
     ],
 )
 def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
@@ -207,10 +200,7 @@ def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
     write_csv(folder / "no_tau_j.csv", {name: log[name] for name in ("t", "tau_m", "omega_j")})
     write_csv(folder / "reversed.csv", {**log, "tau_j": -log["tau_j"]})
     write_csv(folder / "one_way.csv", {**log, "omega_j": np.abs(log["omega_j"]) + 0.1})
-    write_csv(folder / "still.csv", {**log, "omega_j": 0.0 * log["omega_j"]})
     write_csv(folder / "flat.csv", {**log, "tau_m": 0.0 * log["tau_m"] + 0.1})
-    write_csv(folder / "short.csv", {name: column[:5] for name, column in log.items()})
-    write_csv(folder / "gap.csv", {**log, "tau_j": np.where(np.arange(log["t"].size) == 7, np.nan, log["tau_j"])})
     assert tsa(*(arguments if "--out" in arguments else (*arguments, "--out", "new.toml")), "--json") == 2
     assert not (folder / "new.toml").exists()
     captured = capsys.readouterr()

@@ -124,13 +124,6 @@ def test_each_log_has_a_row_with_its_verdict_or_the_reason_and_a_report(done: Pa
         assert (done / "drive_2.csv" / name).is_file()
 
 
-@pytest.mark.slow
-def test_a_second_run_asks_nothing_again_and_gives_the_same_table(done: Path, folder: Path, model: Path) -> None:
-    before = (done / TABLE).read_text()
-    assert swept(folder, model, done)[1] == 0
-    assert (done / TABLE).read_text() == before
-
-
 @pytest.mark.usefixtures("quick")
 class TestResumption:
     """A folder is diagnosed once, regardless of the number of interruptions."""

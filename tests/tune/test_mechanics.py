@@ -22,7 +22,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.plant.axis import CURVATURES
-from tsa_ctrl.tune.delay import Delay, command_delay, torque_of
+from tsa_ctrl.tune.delay import Delay, command_delay
 from tsa_ctrl.tune.estimate import Estimate, Form, bends, course
 from tsa_ctrl.tune.excitation import multi_sine
 from tsa_ctrl.tune.mechanics import (
@@ -32,7 +32,6 @@ from tsa_ctrl.tune.mechanics import (
     law_tuning,
     measured,
     pulling,
-    rounded,
     stiffened,
 )
 from tsa_ctrl.tune.procedure import shaken
@@ -109,12 +108,6 @@ def test_an_arbitrary_course_gets_its_centre(tmp_path: Path) -> None:
     assert found.profile == course(found.centre.value)
 
 
-@pytest.mark.parametrize("centre", [0.0, 0.13, 0.5, 0.8, 0.97])
-def test_a_course_has_its_centre(centre: float) -> None:
-    places, bending = np.array(course(centre)).T
-    assert 1.0 - np.trapezoid(bending, places) == pytest.approx(centre, abs=1e-3)
-
-
 @pytest.mark.parametrize(("transport", "lag"), [(0.6, 1.2e-3), (1.0, 0.1e-3), (2.37, 0.1e-3), (6.0, 1.2e-3)])
 def test_a_delay_of_any_size_is_found(transport: float, lag: float) -> None:
     """The reference is a torque loop in steps of a fiftieth of a period, without code of the package."""
@@ -143,12 +136,6 @@ def stepped(command: NDArray[np.float64], transport: float, lag: float) -> NDArr
     return found
 
 
-def test_torque_of_a_command_is_the_stepped_one() -> None:
-    rng = np.random.default_rng(2)
-    command = rng.normal(size=200)
-    assert torque_of(command, 1.4, 0.5) == pytest.approx(stepped(command, 1.4, 0.5), abs=1e-9)
-
-
 def test_a_drive_that_does_not_follow_has_no_delay() -> None:
     rng = np.random.default_rng(1)
     columns = {name: rng.normal(size=3000) for name in ("tau_m_cmd", "tau_m", "omega_j")}
@@ -166,13 +153,6 @@ def test_a_joint_that_hardly_moves_says_nothing_of_the_motor(tmp_path: Path) -> 
     assert found.delay is not None
     assert found.delay.lag == pytest.approx(LAG, abs=1e-4)
     assert "slides too little" in found.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("value", "share", "wanted"), [(1.02345e-4, 0.02, 1.02e-4), (49.317, 0.2, 49.0), (2.0037e-3, 0.003, 2.004e-3)]
-)
-def test_numbers_have_the_digits_that_their_interval_is_worth(value: float, share: float, wanted: float) -> None:
-    assert rounded(value, share) == wanted
 
 
 def around(value: float, unit: str) -> Quantity:

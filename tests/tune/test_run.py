@@ -24,12 +24,6 @@ def columns(t: np.ndarray) -> dict[str, np.ndarray]:
     return {"t": t, "tau_m": np.sin(angle), "tau_j": np.sin(angle), "omega_j": np.cos(angle)}
 
 
-def test_a_run_without_gaps_is_one_piece_with_the_logs_hash() -> None:
-    (piece,) = _pieces(columns(PERIOD * np.arange(4000)), "run", "hash")
-    assert piece.sha256 == "hash"
-    assert len(piece) == 4000
-
-
 def test_a_long_gap_parts_a_run_and_short_ends_are_left_out() -> None:
     t = np.concatenate([PERIOD * np.arange(4000), 4.5 + PERIOD * np.arange(3000), 8.0 + PERIOD * np.arange(500)])
     pieces = _pieces(columns(t), "run", "hash")
