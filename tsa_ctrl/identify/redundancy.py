@@ -110,8 +110,8 @@ def check_columns(label: str, columns: Mapping[str, Array], period: float) -> li
     return remarks
 
 
-def check_ends(label: str, columns: Mapping[str, Array], period: float, ratio: float) -> list[str]:
-    """Compare the motion of motor and joint and return remarks; `ratio` is r_J / r_M.
+def check_ends(label: str, columns: Mapping[str, Array], period: float, ratio: float) -> None:
+    """Compare the motion of motor and joint; `ratio` is r_J / r_M.
 
     The tendons between the two ends elongate, so only a factor that no stiffness explains is an error. A reversed end
     is detected by another check, which uses the energy.
@@ -119,14 +119,11 @@ def check_ends(label: str, columns: Mapping[str, Array], period: float, ratio: f
     Raises:
         UsageError: The two ends disagree by a factor that no stiffness explains.
     """
-    remarks = []
     for name, derive in (("q", zero_phase_derivative), ("omega", low_pass)):
         joint, motor = f"{name}_j", f"{name}_m"
         if joint in columns and motor in columns:
             pair = derive(ratio * columns[joint], period, BAND), derive(columns[motor], period, BAND)
-            found = compare(*pair, period)
-            remarks += judge(label, f"{joint} times r_J/r_M", motor, found, FAR, signed=False, noted=math.inf)
-    return remarks
+            judge(label, f"{joint} times r_J/r_M", motor, compare(*pair, period), FAR, signed=False)
 
 
 def judge(
@@ -136,7 +133,6 @@ def judge(
     found: Agreement | None,
     wrong: float,
     signed: bool = True,
-    noted: float = NOTED,
 ) -> list[str]:
     """Return remarks on a pair of columns; raise UsageError if they cannot both be right.
 
@@ -147,7 +143,6 @@ def judge(
         found: The agreement of both, or None.
         wrong: The factor above which they cannot both be right.
         signed: True if a reversed sign is an error here; otherwise another check detects it.
-        noted: The factor above which a difference is remarked.
     """
     if found is None or (signed and found.turns < FEWEST_TURNS):
         return []
@@ -162,7 +157,7 @@ def judge(
         raise UsageError(f"{where}: {late}; align the two columns, or leave one out")
     if found.turns < FEWEST_TURNS:
         return []
-    remarks = [f"column {second} is {factor:.3f} times {first}"] if found.beyond(noted) else []
+    remarks = [f"column {second} is {factor:.3f} times {first}"] if found.beyond(NOTED) else []
     if abs(found.shift) > NOTED_SHIFT and abs(found.correlation) > CERTAIN:
         remarks.append(f"column {late}")
     return remarks

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.redundancy import BAND, NEAR
-from tsa_ctrl.identify.units import DEGREES, in_other_units
+from tsa_ctrl.identify.units import in_other_units
 from tsa_ctrl.model.parameters import RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import low_pass
@@ -28,6 +28,7 @@ from tsa_ctrl.model.steady_sliding import sliding
 Array = NDArray[np.float64]
 
 FRICTION_FACTOR = 2.0  # times the range of [uncertainty]: an effect of this drive may double a torque
+DEGREES = 180.0 / math.pi  # per radian: factor by which an angle in degrees is too large
 # A rough guess of a drive's friction is wrong by less than this factor; the smallest factor of a unit is 8.85
 ROUGH = 5.0
 GUESS = 30.0  # the same for a file with friction only: one and a half orders of magnitude

@@ -35,7 +35,6 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: if a joint moves back and forth over a larger range, its angle is in degrees
 WIDEST_BEND = 2.0 * np.pi  # rad, the same of a joint that may bend the sheath: no limb turns once around
-DEGREES = 180.0 / np.pi  # per radian: factor by which an angle in degrees is too large
 INVERSE = 0.05  # relative distance from 1 / ratio below which the two ends' columns count as swapped
 TORQUES = (  # number of units in one N*m
     (1000.0, "N*mm, mN*m or per mille of the rated torque"),
@@ -136,21 +135,11 @@ def check_ratios(
     for motor, joint in (("q_m", "q_j"), ("omega_m", "omega_j")):
         if motor in columns and joint in columns:
             slope = _slope(_levelled(columns[joint]), _levelled(columns[motor]))
-            for factor, name in ((DEGREES, motor), (1.0 / DEGREES, joint)):
-                if slope is not None and _near(slope, factor * ratio):
-                    raise UsageError(
-                        f"{label}: column {motor} is {slope:.3g} times {joint} where the pulleys give {ratio:.3g}, "
-                        f"which cannot be right; {name} seems to be in degrees: use rad"
-                    )
-            if slope is not None and not _near(ratio, 1.0 / ratio) and abs(slope * ratio - 1.0) < INVERSE:
+            if slope is not None and not 0.8 < ratio**2 < 1.25 and abs(slope * ratio - 1.0) < INVERSE:
                 raise UsageError(
                     f"{label}: column {motor} is {slope:.3g} times {joint} where the pulleys give {ratio:.3g}; {motor} "
                     f"and {joint} seem to be swapped, or the radii in the model file: exchange them"
                 )
-
-
-def _near(ratio: float, factor: float) -> bool:
-    return 0.8 < abs(ratio) / factor < 1.25
 
 
 def _levelled(values: Array, sigma: Array | None = None) -> Array:
