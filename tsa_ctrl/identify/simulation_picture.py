@@ -29,29 +29,20 @@ def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> Non
     Raises:
         UsageError: the format is not supported, or the file cannot be written.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure  # slow to import
 
     quantity = simulations[0].quantity
     other = "tau_m" if quantity == "tau_j" else ("omega_m" if "omega_m" in dataset else "omega_j")
-    figure, axes = pyplot.subplot_mosaic(
-        [["torque", "loop"], ["residual", "loop"]],
-        figsize=(12.0, 6.2),
-        width_ratios=(2.2, 1.0),
-        height_ratios=(2.0, 1.0),
-        layout="constrained",
+    figure = Figure(figsize=(12.0, 6.2), layout="constrained")
+    axes: dict[str, Any] = figure.subplot_mosaic(
+        [["torque", "loop"], ["residual", "loop"]], width_ratios=(2.2, 1.0), height_ratios=(2.0, 1.0)
     )
-    try:
-        _draw_time(axes["torque"], axes["residual"], dataset, simulations)
-        _draw_loop(axes["loop"], dataset, simulations, other)
-        axes["residual"].sharex(axes["torque"])
-        axes["torque"].tick_params(labelbottom=False)
-        figure.suptitle(_conclusion(dataset, simulations))
-        outputs.save_picture(figure, path, dpi=130, keeping=False)  # the caller has made a backup
-    finally:
-        pyplot.close(figure)
+    _draw_time(axes["torque"], axes["residual"], dataset, simulations)
+    _draw_loop(axes["loop"], dataset, simulations, other)
+    axes["residual"].sharex(axes["torque"])
+    axes["torque"].tick_params(labelbottom=False)
+    figure.suptitle(_conclusion(dataset, simulations))
+    outputs.save_picture(figure, path, dpi=130, keeping=False)  # the caller has made a backup
 
 
 def _draw_time(torque: Any, residual: Any, dataset: Dataset, simulations: Sequence[Simulation]) -> None:

@@ -21,10 +21,7 @@ SLOWEST = 2.0  # Hz: a log at 1 or 2 kHz appears this slow or slower if its time
 SLOW = 12.0  # Hz: a log at 10 kHz appears this slow if its time is in ms, but steady motion may be logged at this rate
 LONGEST_SLOW = 3000.0  # s: a usable log of 3 s appears this long or longer if its time is in ms
 LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable reason of a larger value
-    "tau_m": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
-    "tau_j": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
-    "tau_j_des": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
-    "tau_m_cmd": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
+    **dict.fromkeys(("tau_m", "tau_j", "tau_j_des", "tau_m_cmd"), (500.0, "N*m", "N*mm, N*cm or kgf*cm")),
     "omega_m": (3000.0, "rad/s", "degrees per second or rpm"),
     "theta": (50.0, "rad", "degrees"),
     "t1": (2e4, "N", "mN"),

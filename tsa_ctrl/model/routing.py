@@ -104,12 +104,7 @@ class Route:
 
     def added(self, angles: Mapping[str, float]) -> float:
         """Return the wrap angle (rad) minus its value with all joints at 0; `angles`: rad of all joints, by name."""
-        bent = 0.0
-        for name, gain in self.gains.items():
-            bent += gain * angles[name]
-        for name, points in self.tables.items():
-            bent += _between(points, angles[name])
-        return bent
+        return sum((self.added_by(name, angles[name]) for name in self.joints), 0.0)
 
     def added_over(self, angles: Mapping[str, Array]) -> Array:
         """Return `added` over a log, rad, (n,); `angles`: rad of all joints, by name, (n,) each."""

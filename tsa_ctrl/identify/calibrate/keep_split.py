@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +38,8 @@ def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tu
     The intervals are the ranges of both that remain for the known product within [uncertainty]. If the friction torque
     cannot be reached within [uncertainty], the nearest corner is returned, and a note is added to `notes`.
     """
+    from scipy.optimize import brentq  # slow to import
+
     (low_x, high_x), (low_t, high_t) = bounds(model)
     wx, wt = math.log(high_x / low_x) / 2.0, math.log(high_t / low_t) / 2.0
     x0, t0, diameter = model.friction_angle, model.pretension, 2.0 * model.joint_pulley_radius
@@ -47,7 +48,7 @@ def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tu
         return diameter * t0 * math.exp(s * wt) * math.sinh(x0 * math.exp(s * wx)) - half_loop.value
 
     if excess(-1.0) < 0.0 < excess(1.0):
-        s = _root(excess)
+        s = float(brentq(excess, -1.0, 1.0))
     else:
         s = -1.0 if excess(-1.0) >= 0.0 else 1.0
         notes.append(f"the half loop {half_loop} cannot be reached within [uncertainty]; the nearest corner is used")
@@ -60,17 +61,6 @@ def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tu
         Quantity(x, min(x, max(low_x, open_x[0])), max(x, min(high_x, open_x[1])), "1"),
         Quantity(tension, min(tension, max(low_t, open_t[0])), max(tension, min(high_t, open_t[1])), "N"),
     )
-
-
-def _root(rising: Callable[[float], float]) -> float:
-    """Return the root of a function that rises from below 0 at -1 to above 0 at 1, by bisection to the last digit."""
-    low, high = -1.0, 1.0
-    while low < (middle := 0.5 * (low + high)) < high:
-        if rising(middle) < 0.0:
-            low = middle
-        else:
-            high = middle
-    return high
 
 
 def least_error(logs: list[PreparedLog], model: TendonSheath) -> tuple[Quantity, Quantity]:
