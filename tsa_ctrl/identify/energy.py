@@ -38,7 +38,6 @@ BLOCKS = 12  # blocks of time, the clusters of the standard errors: t with 11 de
 CERTAIN = 5.0
 CLEAR = 0.5  # least size of a term over the residual's RMS: a smaller one may be an error of the fit
 CARRIES = 0.2  # share of the motor torque's deviation that the joint torque must explain before its sign is judged
-APART = 0.2  # least |ln(ratio^2)|: radii that differ this much distinguish swapped torques from a reversed velocity
 MOVES = 0.01  # rad, standard deviation of an angle; the integral of velocity noise stays below it
 RELATED = 0.5  # least correlation of an angle with the integral of its velocity
 # Most samples of a fit, 50,000 for each of 12 blocks: of a longer log, only every second, third ... sample is used.
@@ -57,14 +56,10 @@ SLIDING = 0.1  # share of the velocity's 95th percentile; slower samples may sti
 
 @dataclass(frozen=True)
 class _Signs:
-    """Hold the signs of a and F, or 0 if they are uncertain; `carried` is a if its sign is certain, otherwise 0.
-
-    `friction_torque` is F in N*m with its standard error `doubt`.
-    """
+    """Hold the signs of a and F, or 0 if they are uncertain, and F with its standard error `doubt`, N*m."""
 
     gain: int
     friction: int
-    carried: float
     friction_torque: float
     doubt: float
 
@@ -125,10 +120,12 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
         channel = "tau_j" if friction > 0 else "tau_m"
     elif friction < 0:
         if gain > 0:
-            _refuse_swapped(
-                dataset.label, found.carried, model.joint_pulley_radius / model.motor_pulley_radius, velocity
+            raise UsageError(
+                f"{dataset.label}: column {velocity} is reversed, or columns tau_m and tau_j are swapped: as recorded "
+                "the transmission creates energy (allowed: tau_m omega_m > 0 is work put in, tau_j omega_j > 0 work "
+                "given out); turn the velocity's sign, or rename the two columns"
             )
-        channel = velocity if gain > 0 or against else f"tau_m or {velocity}"
+        channel = velocity if against else f"tau_m or {velocity}"
     elif against:
         channel = motor_velocity if friction > 0 else f"{motor_velocity} or {velocity}"
     else:
@@ -230,26 +227,6 @@ def is_noise(column: Array) -> bool:
     return all(float(np.mean(np.diff(y) ** 2)) > UNRELATED * float(np.var(y)) > 0.0 for y in series)
 
 
-def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> None:
-    """Raise UsageError because tau_m and tau_j are swapped or the velocity is reversed; both reverse only F's sign.
-
-    The message states the more probable cause first.
-
-    Args:
-        carried: ratio of tau_m, converted to the joint, to tau_j: about 1 / cosh x, or about ratio^2 cosh x with the
-            columns swapped.
-    """
-    swapped = math.log(ratio**2)
-    surely = abs(swapped) > APART and abs(math.log(carried) - swapped) < 0.5 * abs(swapped)
-    options = ("columns tau_m and tau_j are swapped", f"column {velocity} is reversed")
-    first, second = options if surely else options[::-1]
-    raise UsageError(
-        f"{label}: {first}, or {second}: as recorded the transmission creates energy (allowed: tau_m omega_m > 0 is "
-        f"work put in, tau_j omega_j > 0 work given out; tau_j about {ratio:.3g} times tau_m by the pulleys, found "
-        f"{ratio / carried:.3g}); rename the two columns, or turn the velocity's sign"
-    )
-
-
 def _check_drive(dataset: Dataset, geared: bool) -> None:
     """Raise UsageError if the friction of a drive creates energy, or if a gear reverses the torque.
 
@@ -330,7 +307,7 @@ def _signs(
     gain = 0
     if torque and abs(value[1]) * float(np.std(torque[0][sliding])) > CARRIES * float(np.std(tau_m[sliding])):
         gain = int(sign[1])
-    return _Signs(gain, int(sign[0]), float(value[1]) if gain else 0.0, float(value[0]), float(error[0]))
+    return _Signs(gain, int(sign[0]), float(value[0]), float(error[0]))
 
 
 def _terms(columns: list[Array], y: Array, where: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
