@@ -11,7 +11,7 @@ import numpy as np
 from .bench import Bench, Recipe, draw_bench
 from .outside import STRANGERS, CatalogueSpan
 from .recording import HiddenLog, record
-from .rig import model_file
+from .rig import log_uniform, model_file
 from .rivals import is_unique
 from .size import added_size, size
 from .strength import NAMES, Strength, draw_strength, solve
@@ -314,7 +314,3 @@ def finish(
     )
     model = model_file(bench.nominal, state_uncertainty=bool(rng.random() < 0.3))
     return Case(family, name, seed, logs, model, truth, bench=bench)
-
-
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from .bench import Bench, Recipe, draw_bench
-from .cases import NEEDS, Case, finish, generator, in_domain, log_uniform
+from .cases import NEEDS, Case, finish, generator, in_domain
+from .rig import log_uniform
 from .rivals import is_unique
 from .size import size
 from .strength import Strength, draw_strength, solve

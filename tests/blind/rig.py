@@ -48,18 +48,18 @@ class Rig:
 def draw_rig(rng: np.random.Generator, x_range: tuple[float, float] = (0.12, 0.9)) -> Rig:
     """Return a random rig of plausible size: radii from 8 mm, pretension 15-150 N, friction angle within `x_range`."""
     bending = rng.uniform(1.2, 6.0)
-    motor_radius = _log_uniform(rng, 0.008, 0.04)
+    motor_radius = log_uniform(rng, 0.008, 0.04)
     return Rig(
         motor_radius=motor_radius,
-        joint_radius=motor_radius * _log_uniform(rng, 0.7, 1.8),
-        axial_stiffness=_log_uniform(rng, 8e3, 9e4),
+        joint_radius=motor_radius * log_uniform(rng, 0.7, 1.8),
+        axial_stiffness=log_uniform(rng, 8e3, 9e4),
         length=rng.uniform(0.4, 2.0),
         diameter=rng.uniform(0.4e-3, 1.2e-3),
         contact_offset=rng.uniform(0.1e-3, 0.6e-3) if rng.random() < 0.5 else 0.0,
         mu=rng.uniform(*x_range) / bending,
         bending=bending,
-        pretension=_log_uniform(rng, 15.0, 150.0),
-        series_stiffness=_log_uniform(rng, 3e3, 5e4) if rng.random() < 0.4 else None,
+        pretension=log_uniform(rng, 15.0, 150.0),
+        series_stiffness=log_uniform(rng, 3e3, 5e4) if rng.random() < 0.4 else None,
     )
 
 
@@ -83,5 +83,5 @@ def model_file(nominal: Rig, state_uncertainty: bool = False) -> str:
     )
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -12,10 +12,11 @@ import numpy as np
 
 from . import memory, sensors
 from .bench import rms
-from .cases import Case, Truth, generator, log_uniform
+from .cases import Case, Truth, generator
 from .motion import Motion, grid, rich_motion, wander
 from .plant import stribeck_factor
 from .recording import HiddenLog
+from .rig import log_uniform
 
 Array = np.ndarray
 

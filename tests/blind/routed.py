@@ -12,8 +12,9 @@ import numpy as np
 
 from . import sensors
 from .bench import Recipe, draw_bench
-from .cases import Case, finish, generator, log_uniform
+from .cases import Case, finish, generator
 from .motion import wander
+from .rig import log_uniform
 
 NAMES = ("absent", "wrong", "two", "right")
 SWING = (0.3, 0.8)  # rad, half range of the hip motion

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .bench import Bench
+from .rig import log_uniform
 
 NAMES = (
     "velocity_lag",
@@ -95,7 +96,7 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
             return Strength(name, {"reference_tension": bench.nominal.pretension}, "exponent", 0.2, 0.9)
         case "presliding_hysteresis":
             elements = int(rng.choice([1, 1, 1, 2, 4, 8]))
-            return Strength(name, {"elements": elements, "presliding_distance": path * _log_uniform(rng, 0.006, 0.15)})
+            return Strength(name, {"elements": elements, "presliding_distance": path * log_uniform(rng, 0.006, 0.15)})
         case "sheath_asymmetry":
             return Strength(name, {}, "relative_difference", sign * 0.2, sign * 1.5)
         case "load_dependent_friction":
@@ -108,7 +109,7 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
             stiff = bench.rig.axial_stiffness / bench.rig.pretension
             return Strength(name, {}, "quadratic", sign * 0.2 * stiff, (0.45 if sign < 0 else 1.5) * sign * stiff)
         case "backlash":
-            return Strength(name, {"gap": reach * _log_uniform(rng, 0.008, 0.1)})
+            return Strength(name, {"gap": reach * log_uniform(rng, 0.008, 0.1)})
         case "pulley_eccentricity":
             return Strength(name, {"phase": rng.uniform(-np.pi, np.pi)}, "relative_eccentricity", 0.05, 0.45)
         case "pretension_relaxation":
@@ -123,14 +124,14 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
             most = 0.35 * min(rig.bending, rig.pretension / rig.tension_per_bending) / (2.0 * reach)
             return Strength(name, {}, "bending_per_joint_angle", sign * 0.3 * most, sign * most)
         case "transport_delay":
-            return Strength(name, {"delay": _log_uniform(rng, max(0.004, 3.0 * sample), 0.045)})
+            return Strength(name, {"delay": log_uniform(rng, max(0.004, 3.0 * sample), 0.045)})
         case "torque_saturation":
             peak = max(float(np.max(np.abs(run.scene.tau_m))) for run in bench.runs)
             return Strength(name, {"limit": peak * rng.uniform(0.55, 0.85)})
         case "torque_sensor_lag":
-            return Strength(name, {"time_constant": _log_uniform(rng, max(0.008, 3.0 * sample), 0.12)})
+            return Strength(name, {"time_constant": log_uniform(rng, max(0.008, 3.0 * sample), 0.12)})
         case "velocity_lag":
-            return Strength(name, {"time_constant": _log_uniform(rng, max(0.008, 3.0 * sample), 0.08)})
+            return Strength(name, {"time_constant": log_uniform(rng, max(0.008, 3.0 * sample), 0.08)})
     raise ValueError(f"unknown effect: {name}")
 
 
@@ -147,7 +148,3 @@ def solve(strength: Strength, target: float, size: Callable[[dict[str, Any]], fl
         value = min(value * float(np.clip(target / reached, 0.2, 5.0)), cap)
         reached = size(strength.at(sign * value))
     return strength.at(sign * value), reached
-
-
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

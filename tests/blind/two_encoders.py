@@ -14,10 +14,10 @@ import numpy as np
 
 from . import sensors, stretch_effects
 from .bench import Bench, Recipe, Run, draw_bench, rms
-from .cases import Case, finish, generator, in_domain, log_uniform
+from .cases import Case, finish, generator, in_domain
 from .confounded import ROWS, drawn
 from .plant import Effects, Tensions
-from .rig import Rig
+from .rig import Rig, log_uniform
 
 Array = np.ndarray
 SHAPES = ("joint", "even", "motor")
