@@ -18,6 +18,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.text import read_foreign
 from tsa_ctrl.log.table import read_table
+from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.settings import load
 
 GERMAN = (
@@ -73,6 +74,17 @@ def test_a_wrong_mapping_is_one_line_with_what_is_allowed(tmp_path: Path, capsys
         err = capsys.readouterr().err
         assert said in err
         assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys"), [("tendon_sheath", 8), ("geared_drive", 1)], ids=["tendon-sheath", "geared drive"]
+)
+def test_the_model_of_an_import_has_no_value_that_only_the_user_knows(kind: str, keys: int, tmp_path: Path) -> None:
+    """A report with the example's radii and friction would look like one of this drive."""
+    (tmp_path / "x.csv").write_text("t,tau_m,tau_j\n0,1,1\n1,2,2\n")
+    assert import_log(str(tmp_path / "x.csv"), "--kind", kind, "--out", str(tmp_path / "o"), "--yes") == 0
+    with pytest.raises(UsageError, match=f"{keys} values? (is|are) empty.*model.toml: actuator"):
+        load_model(tmp_path / "o" / "model.toml")
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,17 @@ DESK: dict[str, Changes] = {
 # On a rig, set-point, compensation and limit permit no torque until the user has filled in the values.
 NODE_ID = "1 to 127"  # for keys without a comment
 EMPTY = '""'  # a value that only the user knows; `tsa run --check` lists them all
+MODEL: Changes = {
+    "actuator": {"motor_pulley_radius": EMPTY, "joint_pulley_radius": EMPTY},
+    "tendon": {"axial_stiffness": EMPTY, "unstrained_length": EMPTY, "diameter": EMPTY},
+    "sheath": {
+        "friction_coefficient": EMPTY,
+        "bending_angle": EMPTY,
+        "contact_offset": None,
+        "bending_centre": None,
+    },
+    "pretension": {"value": EMPTY},
+}
 RIG: dict[str, Changes] = {
     "controller.toml": {
         "bus": {"channel": '"can0"'},
@@ -55,17 +66,7 @@ RIG: dict[str, Changes] = {
         "axis.law": {"compensation": "0.0"},
         "axis.limits": {"torque": None, "torque_share": "0.1"},
     },
-    "actuator.toml": {
-        "actuator": {"motor_pulley_radius": EMPTY, "joint_pulley_radius": EMPTY},
-        "tendon": {"axial_stiffness": EMPTY, "unstrained_length": EMPTY, "diameter": EMPTY},
-        "sheath": {
-            "friction_coefficient": EMPTY,
-            "bending_angle": EMPTY,
-            "contact_offset": None,
-            "bending_centre": None,
-        },
-        "pretension": {"value": EMPTY},
-    },
+    "actuator.toml": MODEL,
     "plant.toml": {"bus": LOCAL_BUS},  # never on the bus of the rig
 }
 
@@ -195,6 +196,11 @@ def _compile() -> None:
     from tsa_ctrl.observer.stretch import StretchObserver
 
     StretchObserver(load_tendon_sheath(SHIPPED / "actuator.toml"), 1e-3, (1e-4, 1e-4))  # any period and counts
+
+
+def empty_model() -> str:
+    """Return the commented model file of a tendon-sheath without the values that only the user knows."""
+    return with_values((SHIPPED / "actuator.toml").read_text(encoding="utf-8"), MODEL)
 
 
 def _shipped() -> list[Path]:

@@ -197,4 +197,4 @@ def _written(columns: Mapping[str, object], written: Imported, out: Path) -> Non
             click.echo(f"written: {path}")
     verb = "diagnose" if "tau_m" in columns else "log info"
     more = f" --model {out / 'model.toml'} --out {out / 'diagnosis'}" if verb == "diagnose" else ""
-    click.echo(f"next: enter your own values in {out / 'model.toml'}, then run: tsa {verb} {written.log}{more}")
+    click.echo(f"next: fill in {out / 'model.toml'}, then run: tsa {verb} {written.log}{more}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.cli.init import SHIPPED
+from tsa_ctrl.cli.init import empty_model
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import LEAST_PRESENT, NEEDED
 from tsa_ctrl.log.foreign import mapping
@@ -186,7 +186,7 @@ def stems(paths: Sequence[Path]) -> list[str]:
 
 def write(done: Understood, out: Path, stem: str, kind: str) -> Imported:
     """Write log, mapping, model and picture to `out`; raises UsageError."""
-    return mapping.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml", stem, kind)
+    return mapping.write(out, done.table, done.mapped, done.columns, empty_model(), stem, kind)
 
 
 def show(done: Understood) -> None:

@@ -3,7 +3,7 @@
 Column and unit are guessed from the foreign names, or given by a mapping file. A mapping file (TOML) has a `[table]`
 (encoding, separator, decimal, header) and one `[column.NAME]` for each canonical column. A column has `from` (the
 foreign name), `unit`, and, if the unit requires them, `scale` (SI per unit) and `offset` (SI). An import writes a
-canonical CSV file, the mapping, a model-file skeleton and a picture.
+canonical CSV file, the mapping, a model file to fill in and a picture.
 """
 
 from __future__ import annotations
@@ -363,7 +363,7 @@ GEARED = """# A drive with a gear and a joint torque sensor, without tendons:
 # tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s = +1 where the motor drives, -1 where it is driven.
 [actuator]
 kind = "geared_drive"
-ratio = 1.0                      # N, motor turns per joint turn: replace it with yours
+ratio = ""                       # FILL IN: N, motor turns per joint turn
 efficiency = 0.9                 # eta, 1
 coulomb_friction = {coulomb:.3g}{pad}# tau_c, N*m: 5 % of the median torque of this log; replace it with your estimate
 viscous_friction = 0.0           # b, N*m*s/rad
@@ -439,7 +439,7 @@ def write(
     table: ForeignTable,
     mapped: list[Mapped],
     columns: Columns,
-    skeleton: Path,
+    tendon_sheath: str,
     stem: str,
     kind: str = "",
 ) -> Imported:
@@ -450,7 +450,7 @@ def write(
         table: foreign table.
         mapped: mapping of the columns.
         columns: columns in SI units.
-        skeleton: commented model file of a tendon-sheath.
+        tendon_sheath: text of the model file of a tendon-sheath.
         stem: start of the file names.
         kind: kind of the model file. The default is a tendon-sheath if there is a joint torque, or else a plain drive.
 
@@ -471,16 +471,15 @@ def write(
     made = None
     if not model.exists():
         made = model
-        settings.write_text(model, _skeleton(columns, skeleton, kind))
+        settings.write_text(model, _model(columns, tendon_sheath, kind))
     _draw(picture, table, columns)
     return Imported(log, mapping, made, picture)
 
 
-def _skeleton(columns: Columns, tendon_sheath: Path, kind: str) -> str:
+def _model(columns: Columns, tendon_sheath: str, kind: str) -> str:
     kind = kind or ("tendon_sheath" if "tau_j" in columns else "rigid_drive")
     if kind == "tendon_sheath":
-        text = tendon_sheath.read_text(encoding="utf-8")
-        return "# A SKELETON: replace the radii, the tendon and the sheath of the example with yours.\n" + text
+        return tendon_sheath
     text, name, share = (GEARED, "tau_j", 0.05) if kind == "geared_drive" else (RIGID, "tau_m", 0.5)
     tau = columns.get(name, np.zeros(1))
     coulomb = share * float(np.nanmedian(np.abs(tau))) if tau.size else 0.0
