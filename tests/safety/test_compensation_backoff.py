@@ -91,6 +91,18 @@ def test_the_first_detection_is_forgiven_within_the_times_that_people_are_told()
     assert (guard.latched, guard.count, guard.back_off < 0.3) == (False, 2, True)
 
 
+def test_the_energy_of_relaxing_tendons_is_no_second_detection() -> None:
+    rig = Rig()
+    detected(rig)
+    guard, first = rig.guard, rig.guard.back_off
+    for cycle in range(20):
+        tau_j = 0.4 * (1.0 - cycle / 20.0)
+        guard.update(Observed(tau_j=tau_j, omega_j=3.0, term=guard.share * HALF_LOOP, half_loop=HALF_LOOP))
+    assert (guard.count, guard.latched) == (1, False)
+    assert guard.back_off <= first
+    assert rig.run(HOLD + RECOVERY, speed=0.0).back_off == RETURNED
+
+
 def test_the_second_time_is_latched_below_the_friction_that_is_left() -> None:
     """After this, the guard adds no further energy."""
     guard = Rig().run(0.5)

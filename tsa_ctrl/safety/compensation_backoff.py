@@ -7,7 +7,8 @@ the whole compensation.
 
 The first reduction is temporary. The share returns to `RETURNED` within `HOLD` + `RECOVERY`, and to its full value
 after `FORGIVEN`. Half of the energy threshold applies until then. A second detection within `FORGIVEN` is latched
-until the axis is disabled or the latch is released, and a third one latches 0.
+until the axis is disabled or the latch is released, and a third one latches 0. The tendons still relax within `HOLD`,
+so a detection of energy in this time is the same one and only lowers the share.
 
 An excessive term has stretched the tendons, and the motor keeps driving the joint while they relax. For `UNWIND`, the
 guard therefore first applies the excess in the opposite direction. Consider a weight that moves at 3 rad/s when 90 %
@@ -275,14 +276,17 @@ class CompensationBackoff:
         excess = max(0.0, self.share - max(0.0, ratio))
         left = min(self._back_off, CAUTIOUS * max(0.0, share - UNSURE))
         self._falling = 0.0
-        self._take_back(
-            Reason.PASSIVITY,
-            left,
-            left,
-            f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than desired within "
-            f"{1e3 * since:.0f} ms",
-            cause,
-        )
+        if self._held > 0.0 and not self.latched:
+            self._back_off = left
+        else:
+            self._take_back(
+                Reason.PASSIVITY,
+                left,
+                left,
+                f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than desired within "
+                f"{1e3 * since:.0f} ms",
+                cause,
+            )
         self._drove, self._unwinding = excess, int(UNWIND / self._period)  # 0 in a loop with a longer period
 
     def _buzzes(self) -> None:
