@@ -14,9 +14,11 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.blind.routed import Gains, routed_case
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.routing import fit_routing, of_elongation
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.motion import tied_joints
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from, save_model
 from tsa_ctrl.model.routing import Route, Routing
 
@@ -182,3 +184,52 @@ def test_the_elongation_shows_the_gain_without_a_joint_torque(gain: float) -> No
     assert found is not None
     assert found.gains["gain.hip"].low < gain < found.gains["gain.hip"].high
     assert found.gains["gain.hip"].value == pytest.approx(gain, rel=0.15)
+
+
+def test_a_joint_whose_angle_is_a_sum_of_others_is_tied_to_them() -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    hip, knee, toe = (np.sin(rate * t) for rate in (0.7, 1.1, 1.9))
+    ankle = 0.3 * hip - 0.8 * knee + 0.5
+    assert tied_joints({"hip": hip, "knee": knee, "toe": toe, "ankle": ankle}) == {"ankle": ("hip", "knee")}
+    assert tied_joints({"hip": hip, "knee": hip + 0.2 * knee}) == {}
+
+
+def test_gains_of_joints_that_move_in_proportion_are_not_attributed_to_one_of_them() -> None:
+    """The knee bends the sheath by 0.5 rad/rad. The error was "no effect of knee" and a wrong gain of the hip."""
+    log, model = rig_of(0.8, 0.8)
+    del log["q_m"]
+    log["q_j.knee"] = 1.6 * log["q_j.hip"]
+    data = Dataset.from_arrays(log, "run")
+    with pytest.raises(UsageError) as caught:
+        calibrate([data], model)
+    assert str(caught.value) == (
+        "calibrate: the joints hip and knee move in proportion in these logs, so their effects on the wrap angle "
+        "cannot be separated; move each of them alone as well, or remove the column q_j.NAME of a joint that does not "
+        "bend the sheath"
+    )
+    right = dataclasses.replace(model, routing=Routing.sum_of(None, {"knee": 0.5}))
+    assert gains_of(calibrate([data], right)) == {"knee": 0.5}
+
+
+@pytest.mark.parametrize("file", [{}, {"ankle": 0.4}])
+def test_a_joint_at_rest_is_reported(file: dict[str, float]) -> None:
+    log, model = rig_of(0.9, 0.9)
+    del log["q_m"]
+    log["q_j.ankle"] = np.full(log["t"].size, 0.3)
+    result = calibrate(
+        [Dataset.from_arrays(log, "run")], dataclasses.replace(model, routing=Routing.sum_of(None, file))
+    )
+    rest = "[routing] of the file is used for it" if file else "the result holds with the joint at this angle"
+    assert f"joint ankle rests at 0.3 rad in these logs and shows no gain: {rest}" in result.notes
+
+
+def test_path_lengths_count_although_an_error_of_the_torque_disagrees_slightly() -> None:
+    """A torque of 10 mN*m/rad that follows the hip shifts the difference of the gains by 1.7 intervals of the torques.
+
+    Without the path lengths, the gains were 0.77 and -0.18 rad/rad.
+    """
+    log, model = rig_of(0.9, -0.3)
+    log["tau_j"] += 0.01 * log["q_j.hip"]
+    found = calibrate([Dataset.from_arrays(log, "run")], model).routing
+    for tendon, true in (("a", 0.9), ("b", -0.3)):
+        assert found[f"gain_{tendon}.hip"].value == pytest.approx(true, abs=0.06)

@@ -17,6 +17,7 @@ from tsa_ctrl.model.functions import Array
 
 SHAFTS = (("q_j", "omega_j", "acceleration_j"), ("q_m", "omega_m", "acceleration_m"))
 STANDING = 0.5  # s: an angle that changes by less than one encoder count in this time has no certain direction
+OWN = 0.1  # 1, least share of a joint's motion that other joints do not share; with less, effects cannot be separated
 SURE = 4.0  # least ratio of a velocity to its error for a certain sign: 6e-5 of Gaussian errors exceed it
 
 
@@ -155,3 +156,40 @@ def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, n
         turned = int(np.median(np.flatnonzero(height >= height.max() - near)))
         out[inside] = np.where(np.arange(len(size)) < turned, way * size, next_way * size)
     return out
+
+
+def tied_joints(angles: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
+    """Return the joints whose angle is a sum of multiples of other angles: by name, the names of these other joints.
+
+    `angles`: rad by name, (n,) each. A joint that others depend on is not in the result.
+    """
+    tied: dict[str, tuple[str, ...]] = {}
+    free: dict[str, Array] = {}
+    for name, angle in angles.items():
+        own = angle - np.mean(angle)
+        others = np.column_stack([*free.values(), np.zeros(own.size)])
+        parts = others * np.linalg.lstsq(others, own, rcond=None)[0]
+        if float(np.std(own - parts.sum(axis=1))) > OWN * float(np.std(own)):
+            free[name] = own
+        else:
+            shares = np.std(parts, axis=0) / np.std(own)
+            tied[name] = tuple(other for other, share in zip(free, shares.tolist(), strict=False) if share > OWN)
+    return tied
+
+
+def inseparable(tied: Mapping[str, tuple[str, ...]], found: Iterable[str]) -> str:
+    """Return why the effects of joints are not known, with the remedy; empty if none of `found` moves with others.
+
+    Args:
+        tied: result of `tied_joints`.
+        found: names of the joints with an effect.
+    """
+    names = set(found)
+    for name, others in tied.items():
+        if names & {name, *others}:
+            return (
+                f"the joints {', '.join(others)} and {name} move in proportion in these logs, so their effects on the "
+                "wrap angle cannot be separated; move each of them alone as well, or remove the column q_j.NAME of a "
+                "joint that does not bend the sheath"
+            )
+    return ""

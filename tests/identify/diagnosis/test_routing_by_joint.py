@@ -16,8 +16,11 @@ from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import diagnose
 from tsa_ctrl.identify.diagnosis.report.page import write
+from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.simulate import simulate
+from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
+from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from
 from tsa_ctrl.model.routing import Routing
 
@@ -87,6 +90,34 @@ def test_the_interval_of_a_gain_does_not_assume_the_path_length(share: float, se
     assert isinstance(gain, Quantity)
     assert gain.low <= 0.8 <= gain.high
     assert {cause.effect for cause in found.causes} <= {NAME, "pretension_per_joint_angle"}
+
+
+@pytest.mark.slow
+def test_the_joint_with_the_wrong_gain_is_named_first() -> None:
+    log = leg_log(1.0, 2)
+    ankle = {"q_j.ankle": 0.4 * np.sin(2.0 * np.pi * 0.29 * T)}
+    columns = {name: log[name] for name in ("t", "tau_m", "tau_j", "omega_j", "q_j")}
+    found = diagnose([Dataset.from_arrays({**columns, **ankle, "q_j.hip": log["q_j.hip"]}, "run.csv")], model())
+    assert [*found.causes[0].parameters] == ["hip", "ankle"]
+    assert "hip 0." in found.sentence
+
+
+@pytest.mark.slow
+def test_joints_that_move_in_proportion_are_reported_and_not_one_of_them() -> None:
+    log = leg_log(1.0, 2)
+    columns = {name: log[name] for name in ("t", "tau_m", "tau_j", "omega_j", "q_j", "q_j.hip")}
+    found = diagnose([Dataset.from_arrays({**columns, "q_j.knee": -1.3 * log["q_j.hip"]}, "run.csv")], model())
+    assert found.verdict is Verdict.INSUFFICIENT
+    assert "the joints hip and knee move in proportion" in found.sentence
+
+
+def test_a_gain_at_its_limit_is_within_the_range_of_the_file() -> None:
+    """Rounding gave 10.000000000000002 rad/rad, which a model file may not have."""
+    scales = Scales(*[1.0] * 15, derived_velocity="", plain=False, offset=False)
+    for reach in np.linspace(0.02, 2.0, 200).tolist():
+        (variant,) = CATALOGUE[NAME].search(NAME, dataclasses.replace(scales, joints={"hip": reach}))
+        parameters = variant.parameters(np.array([variant.coordinates[0].high]))
+        assert check_effects({NAME: parameters}, "file") == {NAME: {"hip": pytest.approx(10.0)}}
 
 
 def one_log(gains: dict[str, float] | None) -> tuple[Dataset, TendonSheath]:

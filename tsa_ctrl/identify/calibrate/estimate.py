@@ -27,7 +27,7 @@ from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, of
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import Estimate, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
-from tsa_ctrl.identify.calibrate.routing import bent_by, curved_routing, fit_routing, moving_joints
+from tsa_ctrl.identify.calibrate.routing import bent_by, curved_routing, fit_routing, moving_joints, resting_joints
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
@@ -369,6 +369,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     elif routed is None and model.routing is not None:
         moved = [name for name in moving_joints(logs) if name in model.routing.joints]
         notes += [f"the logs show no other routing by {', '.join(moved)} than the file: it is kept"] if moved else []
+    notes += [resting] if (resting := resting_joints(logs, model)) else []
     if routed is not None:
         notes.append(routed.sentence)
         model = routed.model

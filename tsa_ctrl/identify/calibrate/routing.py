@@ -17,15 +17,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, admit, instrument_lag, offsets, stack
 from tsa_ctrl.identify.calibrate.regression import Estimate, Prior, block_labels, solve
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.motion import inseparable, tied_joints
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict, stretch
@@ -43,6 +45,7 @@ SETTLED = 0.02  # smaller steps do not update the instruments, which need not be
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
 NEGLIGIBLE = 0.01  # share of Theta_0: a joint outside [routing] that changes the wrap angle by less does not bend it
 PATHS = 0.02  # 1, deviation of a difference found from path lengths: friction changes the elongation of both tendons
+FAR = 2.0  # half widths of the interval of the torques, in which one of 20 true values is not
 ORDERS = (2, 3)  # of the polynomial in a joint's angle that gains are compared with
 CURVED = 0.7  # 1, error of that polynomial over the error of gains, below which a table is proposed
 POINTS = 7  # of the proposed table
@@ -124,8 +127,7 @@ def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
     """
     names = [name for name in logs[0].signals.joints if all(name in log.signals.joints for log in logs)]
     found = {}
-    for name in names:
-        angles = stack([log.signals.joints[name] for log in logs], list(logs))
+    for name, angles in _angles(logs, names).items():
         own = [log.signals.q_j for log in logs]
         if all(q is not None for q in own):
             joint = stack([q for q in own if q is not None], list(logs))
@@ -134,6 +136,26 @@ def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
         if float(np.std(angles)) > MOVED:
             found[name] = float(np.std(angles))
     return found
+
+
+def resting_joints(logs: Sequence[PreparedLog], model: TendonSheath) -> str:
+    """Return a sentence on the joints that are in all logs but do not move; empty without such a joint."""
+    moving = moving_joints(logs)
+    words = []
+    for name in logs[0].signals.joints:
+        if name in moving or not all(name in log.signals.joints for log in logs):
+            continue
+        angle = _angles(logs, [name])[name]
+        if float(np.std(angle)) <= MOVED:
+            given = model.routing is not None and name in model.routing.joints
+            rest = "[routing] of the file is used for it" if given else "the result holds with the joint at this angle"
+            words.append(f"joint {name} rests at {np.mean(angle):.2g} rad in these logs and shows no gain: {rest}")
+    return "; ".join(words)
+
+
+def _angles(logs: Sequence[PreparedLog], names: Iterable[str]) -> dict[str, FloatArray]:
+    """Return the angle (rad) of each joint in the admitted samples of all logs, (n,)."""
+    return {name: stack([log.signals.joints[name] for log in logs], list(logs)) for name in names}
 
 
 class _Problem:
@@ -228,15 +250,15 @@ class _Problem:
     def observe_paths(self, estimate: Estimate, free: list[int]) -> bool:
         """Add the differences of gains that path lengths show as observations; return False if none is added.
 
-        The torques determine the products of mu and the gains much better than the gains. Only a difference within the
-        interval of the torques is added. Another one has another cause, such as a creeping tendon.
+        The torques determine the products of mu and the gains much better than the gains. A difference that is far
+        outside the interval of the torques is not added. It has another cause, such as a creeping tendon.
         """
         shown = {} if self.by_elongation else _differences(self.logs, self.model, self.joints)
         for joint, (half, deviation) in shown.items():
             place = JOINTS + 1 + 2 * self.joints.index(joint)
             if place in free:
                 low, high = estimate.interval(free.index(place))
-                if low - 2.0 * deviation < half < high + 2.0 * deviation:
+                if abs(half - 0.5 * (low + high)) < FAR * 0.5 * (high - low) + 2.0 * deviation:
                     self.start[place], self.precision[place] = half, deviation**-2.0
         return bool(np.any(self.precision[JOINTS : self.size]))
 
@@ -329,8 +351,13 @@ def fit_routing(
 
     `by_elongation`: True for the logs of `of_elongation`. The result is None if no joint bends a sheath, and for logs
     with a measured wrap angle (column theta).
+
+    Raises:
+        UsageError: joints move in proportion, and bend a sheath otherwise than in the file.
     """
     moved = moving_joints(logs) if logs else {}
+    tied = tied_joints(_angles(logs, moved))
+    moved = {name: deviation for name, deviation in moved.items() if name not in tied}
     measured = any(_measures_theta(model, log.signals.theta is not None) for log in logs)
     if not moved or measured or model.bending_angle <= 0.0:
         return None
@@ -368,6 +395,8 @@ def fit_routing(
     bending = tuple(name for k, name in enumerate(problem.joints) if JOINTS + 2 * k not in fixed)
     if not bending:
         return None
+    if reason := inseparable(tied, bending):
+        raise UsageError(f"calibrate: {reason}")
     return _result(problem, p, estimate, free, bending)
 
 
@@ -420,7 +449,7 @@ def curved_routing(logs: list[PreparedLog], model: TendonSheath, routed: Routing
     joints, given = tuple(moving_joints(logs) if logs else {}), model.routing
     tables = given is not None and (given.a.tables or given.b.tables)
     measured = any(_measures_theta(model, log.signals.theta is not None) for log in logs)
-    if not joints or tables or measured or model.bending_angle <= 0.0:
+    if not joints or tables or measured or model.bending_angle <= 0.0 or tied_joints(_angles(logs, joints)):
         return ""
     terms = {name: (name, *(f"{name}^{order}" for order in ORDERS)) for name in joints}
     curved = []

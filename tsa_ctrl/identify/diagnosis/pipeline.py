@@ -24,6 +24,7 @@ from tsa_ctrl.identify.diagnosis.refusals import (
     UNSUITED,
     InsufficientError,
     refuse_foreign,
+    refuse_tied,
     refuse_unexciting,
     refuse_unrelated,
     refuse_unsuited,
@@ -96,6 +97,7 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
         shipped = dataclasses.replace(selection.problem, mask=data.shipped)
         refitted = with_companions(shipped, refit(shipped, selection.fitted, share > 0.0), testable.catalogue)
         reported = in_proportion(data.frame, profile_refined(shipped, refitted))
+        refuse_tied(scales, reported)
         limits = detection_limits(selection, share)
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)

@@ -11,9 +11,14 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
-from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities, refit
 from tsa_ctrl.identify.energy import foreign_torque
+from tsa_ctrl.identify.motion import inseparable
+from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.torque_scale import drive_scale
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.effects.search import Scales
+from tsa_ctrl.model.effects.specification import Motion
 from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonSheath
 
 # Largest relative half width of the interval of the friction: with a wider one, the logs do not determine it
@@ -167,3 +172,16 @@ def _refuse_unseen_friction(problem: Problem, base: Fit) -> None:
             f"{WIDEST_FRICTION:.0%} are needed; the motion or the load is too small beside what is left, "
             f"{problem.noise.rms:.3g} N·m, or goes one way only"
         )
+
+
+def refuse_tied(scales: Scales, found: Refit) -> None:
+    """Raise InsufficientError if a joint has an effect, but moves in proportion to others.
+
+    An effect of a joint whose interval contains 0 does not count.
+    """
+    for effect, parameters in effect_quantities(found).items():
+        if CATALOGUE[effect].asks is not Motion.JOINTS:
+            continue
+        sure = [name for name, q in parameters.items() if isinstance(q, Quantity) and not q.low <= 0.0 <= q.high]
+        if reason := inseparable(scales.tied, sure):
+            raise InsufficientError(reason)

@@ -132,8 +132,8 @@ def _by_joint(scale: float = 1.0, most: float = math.inf) -> Search:
 
     def variants(name: str, s: Scales) -> list[Variant]:
         def parameters(u: Array) -> dict[str, Value]:
-            units = {joint: scale / reach for joint, reach in s.joints.items()}
-            return {joint: float(value) * unit for (joint, unit), value in zip(units.items(), u, strict=True)}
+            found = {joint: float(v) * scale / reach for (joint, reach), v in zip(s.joints.items(), u, strict=True)}
+            return {joint: min(max(value, -most), most) for joint, value in found.items()}  # rounding may exceed it
 
         ends = {joint: most * reach / scale for joint, reach in s.joints.items()}
         coordinates = [Coordinate(joint, -end, end, 1e-3) for joint, end in ends.items()]

@@ -73,6 +73,7 @@ class Scales:
     plain: bool  # a drive without tendons: joint and motor are one
     offset: bool  # the base model has a constant torque, which is fitted
     joints: Mapping[str, float] = field(default_factory=dict)  # half range of other joints that moved, rad, by name
+    tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # joints that move in proportion to others
 
 
 Search: TypeAlias = Callable[[str, Scales], Sequence[Variant]]  # returns the variants of the effect with this name
@@ -91,7 +92,7 @@ def linear(
         unit = scale(s)
 
         def parameters(u: Array) -> dict[str, Value]:
-            return {parameter: float(u[0]) * unit}
+            return {parameter: min(max(float(u[0]) * unit, low), high)}  # rounding may exceed a bound
 
         coordinate = Coordinate(parameter, low / unit, high / unit, 1e-3)
         return [Variant(name, (coordinate,), ((0.0,),), (0,), parameters, full_strength=full_strength)]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.motion import tied_joints
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Scales, Variant
 from tsa_ctrl.model.effects.specification import Specification, Stage
@@ -105,11 +106,26 @@ def scales_of(frame: Frame, model: Model) -> Scales:
         plain=plain,
         offset=isinstance(model, RigidDrive) and model.torque_offset is not None,
         joints=_other_joints(signals) if isinstance(model, TendonSheath) else {},
+        tied=tied_joints(_angles(signals, _moving_joints(signals))),
     )
 
 
 def _other_joints(logs: Sequence[Signals]) -> dict[str, float]:
-    """Return the half range (rad) of each other joint that moved and that all logs have as q_j.NAME."""
+    """Return the half range (rad) of each other joint that moved and that all logs have as q_j.NAME.
+
+    Of joints that move in proportion, only one is returned.
+    """
+    moving = _moving_joints(logs)
+    tied = tied_joints(_angles(logs, moving))
+    return {name: reach for name, reach in moving.items() if name not in tied}
+
+
+def _angles(logs: Sequence[Signals], names: Iterable[str]) -> dict[str, Array]:
+    """Return the angle (rad) of each joint in all logs, (n,)."""
+    return {name: np.concatenate([log.joints[name] for log in logs]) for name in names}
+
+
+def _moving_joints(logs: Sequence[Signals]) -> dict[str, float]:
     names = [name for name in logs[0].joints if all(name in log.joints for log in logs)]
     ranges = {name: max(0.5 * float(np.ptp(log.joints[name])) for log in logs) for name in names}
     own = [name for name in names if all(log.q_j is not None and _alike(log.q_j, log.joints[name]) for log in logs)]

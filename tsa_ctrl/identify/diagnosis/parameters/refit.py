@@ -229,8 +229,15 @@ def _own_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
             if not _told(found, parameter):
                 found = Quantity(found.value, -math.inf, math.inf, found.unit)
             entry[parameter.name] = found
+        if others:  # of equal rank: the clearest value is the main one
+            entry = dict(sorted(entry.items(), key=lambda item: _doubt(item[1])))
         out[variant.effect] = entry
     return out
+
+
+def _doubt(found: Quantity | str) -> float:
+    """Return the half width of an interval relative to the value, 1; infinity if it has none."""
+    return abs(found.share) if isinstance(found, Quantity) and found.value else math.inf
 
 
 def _told(found: Quantity, parameter: Parameter) -> bool:
