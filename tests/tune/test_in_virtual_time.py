@@ -17,7 +17,7 @@ from tests.virtual.rigs import draw
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo.rig import VIRTUAL
-from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
 from tsa_ctrl.tune import procedure
 from tsa_ctrl.tune.estimate import Estimate
 from tsa_ctrl.virtual import simulation
@@ -100,8 +100,26 @@ def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
 
 
 @pytest.mark.slow
-def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The file of the knee does not contain the hip, whose gain is 0.8 rad/rad."""
+def test_the_routing_of_a_leg_is_found_by_moving_its_joints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file of the knee does not contain the hip, whose gain is 0.8 rad/rad.
+
+    The runs that one fit uses have different noise. The fit uses the interval of the measured stiffness.
+    """
+    seeds, shares = {}, []
+    loop, learn = simulation.simulate_loop, procedure.learn
+
+    def noted(controller: Path, *given: Any, seed: int | None = None, **more: Any) -> Any:
+        seeds[controller.stem.removeprefix("controller-")] = seed
+        return loop(controller, *given, seed=seed, **more)
+
+    def learned(logs: Any, model: TendonSheath, settings: procedure.Settings) -> Estimate:
+        shares.append(model.axial_stiffness_uncertainty)
+        return learn(logs, model, settings)
+
+    monkeypatch.setattr(simulation, "simulate_loop", noted)
+    monkeypatch.setattr(procedure, "learn", learned)
     assert status_of("init", "--leg", str(tmp_path / "leg")) == 0
     files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
     knee = tmp_path / "leg" / "knee.toml"
@@ -117,6 +135,10 @@ def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, caps
     gain = data["calibration"]["routing"]["gain.hip"]
     assert gain["low"] < 0.8 < gain["high"]
     assert gain["value"] == pytest.approx(0.8, rel=0.1)
+    assert seeds["excitation"] != seeds["routing-hip"]
+    given, measured = shares
+    assert measured < 0.5 * given
+    assert load_tendon_sheath(tmp_path / "out" / "knee.toml").axial_stiffness_uncertainty == given
     assert data["verification"]["reduction_percent"]["after"] > 90.0
 
 

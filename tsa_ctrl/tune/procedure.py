@@ -387,11 +387,21 @@ class Procedure:
         return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
 
     def _with_stiffness(self, logs: Sequence[Dataset], learned: Estimate, mechanics: Mechanics) -> Estimate:
-        """Return the estimate, repeated with the measured stiffness if this separates friction angle and pretension."""
+        """Return the estimate, repeated with the measured stiffness if this separates friction angle and pretension.
+
+        The stiffness determines dT_p/dTheta, which the torques separate poorly from the gains of other joints. The
+        interval of the measurement is used if it is narrower than the file's [uncertainty], which the result keeps.
+        """
         if not learned.calibration.split or mechanics.swing is None:
             return learned
-        stiffness = stiff(learned, mechanics).model.axial_stiffness
-        return learn(logs, dataclasses.replace(self._model, axial_stiffness=stiffness), self._settings)
+        found, given = stiff(learned, mechanics), self._model.axial_stiffness_uncertainty
+        share = found.parameters[STIFFNESS].share if STIFFNESS in found.parameters else given
+        model = dataclasses.replace(
+            self._model,
+            axial_stiffness=found.model.axial_stiffness,
+            axial_stiffness_uncertainty=min(share, given),
+        )
+        return _with_uncertainty(learn(logs, model, self._settings), given)
 
     def _trial(self, learned: Estimate, mechanics: Mechanics, logs: Sequence[Dataset], kind: str = "") -> _Trial:
         """Write the model file of an estimate for its trial, and return the inputs of the verification run."""
@@ -597,6 +607,17 @@ def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> E
         found = extended(logs, model, found) if settings.extended else found
     known = {} if ratio is None else {"radius_ratio": ratio}
     return dataclasses.replace(found, parameters={**known, **found.parameters}, notes=(*notes, *found.notes))
+
+
+def _with_uncertainty(found: Estimate, share: float) -> Estimate:
+    """Return the estimate with the uncertainty `share` (1) of the axial stiffness in all of its models."""
+    model = dataclasses.replace(found.model, axial_stiffness_uncertainty=share)
+    return dataclasses.replace(
+        found,
+        model=model,
+        calibration=dataclasses.replace(found.calibration, model=model),
+        plain=None if found.plain is None else _with_uncertainty(found.plain, share),
+    )
 
 
 def stiff(found: Estimate, mechanics: Mechanics) -> Estimate:

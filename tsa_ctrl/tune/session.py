@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import difflib
 import functools
+import itertools
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,7 @@ FloatArray = NDArray[np.float64]
 SHOWN = 8.0  # s of a run that a picture shows
 TRIED = 0.95  # share of the friction term in the verification if the file has 0, as during commissioning
 DPI = 120
+REPEATED = ("routing-", "excitation-")  # first letters of the names of the runs that one fit uses with the excitation
 
 
 def draw(outcome: Outcome, folder: Path) -> list[tuple[str, Path]]:
@@ -446,7 +448,14 @@ class Session:
             return daemon
         from tsa_ctrl.virtual.simulation import play  # the loop and the plant in this process
 
-        return functools.partial(play, plant=self._plant, must_succeed=False)
+        numbers = itertools.count(1)
+
+        def played(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
+            # One fit uses the logs of the excitation and of these runs. Equal noise would count as more data.
+            repetition = next(numbers) if name.startswith(REPEATED) else 0
+            return play(folder, name, seconds, tick, self._plant, must_succeed=False, repetition=repetition)
+
+        return played
 
     def check_ready(self) -> None:
         """Check that the joint torque is measured or can be estimated from the tendon elongation, and check the bus.

@@ -36,7 +36,7 @@ from tsa_ctrl.outputs import keep, move_into, refuse_inputs
 from tsa_ctrl.plant.axis import COLUMNS, Recorder, Rows
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import check
-from tsa_ctrl.plant.settings import PlantSettings
+from tsa_ctrl.plant.settings import PlantSettings, load_plant
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.signals import FIELD_NAMES
 from tsa_ctrl.virtual.lockstep import End, FurtherWire, Wire
@@ -502,16 +502,18 @@ def play(
     tick: Callable[[float], None],
     plant: Path | None = None,
     must_succeed: bool = True,
+    repetition: int = 0,
 ) -> dict[str, Any]:
     """Run `controller-NAME.toml` in `folder` on `plant` (default: its `plant.toml`); the log is in a folder NAME.
 
-    Returns the summary that `tsa run --json` prints.
+    Runs with different numbers `repetition` have different noise. Returns the summary that `tsa run --json` prints.
 
     Raises:
         BusError: The run failed, and `must_succeed` is True.
     """
     plant = folder / "plant.toml" if plant is None else plant
-    result = simulate_loop(folder / f"controller-{name}.toml", plant, seconds, out=folder / name, tick=tick)
+    seed = load_plant(plant).physics.seed + repetition if repetition else None
+    result = simulate_loop(folder / f"controller-{name}.toml", plant, seconds, out=folder / name, seed=seed, tick=tick)
     if must_succeed and result.summary.failed:
         raise BusError(f"the run '{name}' failed: {result.summary.cause}")
     return result.summary.as_dict()

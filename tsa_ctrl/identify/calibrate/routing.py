@@ -10,7 +10,9 @@ has a wide interval. Without a joint torque sensor the elongation is fitted inst
 gain of tau_M.
 
 mu and Theta_0 enter only as x = mu Theta_0. The gains are therefore relative to the file's Theta_0, which is kept. The
-stiffness and lever in the file determine k. This value enters as an observation with the file's uncertainty.
+stiffness and lever in the file determine k. This value enters as an observation with the file's uncertainty, in
+`tsa tune` with that of the measured stiffness. The torques separate k and the gains poorly: in 60 s with joints that
+make three oscillations of 0.5 rad in 14 s, an error of k of 9 % comes with one of the gains of 5 %.
 """
 
 from __future__ import annotations
