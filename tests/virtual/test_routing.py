@@ -200,3 +200,14 @@ def test_a_routing_that_cannot_be_is_one_line(tmp_path: Path, gain: float, name:
     with pytest.raises(UsageError, match=words) as raised:
         load_configuration(controller)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("gain", [GAIN, 9.0])
+def test_a_wrap_angle_below_0_is_reported_without_a_travel_to_check(tmp_path: Path, gain: float) -> None:
+    paths = files(tmp_path, "imposed", 0.4)
+    model = tmp_path / "followed.toml"
+    model.write_text(model.read_text(encoding="utf-8").replace(f"hip = {GAIN}", f"hip = {gain}"), encoding="utf-8")
+    events = [str(event) for event in simulate_loop(*paths, 2.5).summary.events]
+    assert sum("wrap angle by [routing] is 0 rad or less at the present angle of hip" in e for e in events) == (
+        gain > 1.0
+    )

@@ -250,8 +250,17 @@ class AxisNotices:
             )
 
     def _update_routing(self, t: float) -> None:
-        missing = self._axis.bending.missing
-        if missing == self._missing or not self._axis.terms.permitted:
+        bending, terms = self._axis.bending, self._axis.terms
+        straight = bending.routing is not None and terms.permitted and terms.theta <= 0.0
+        if bending.routing is not None and straight and self._seldom["straight"].permits(t):
+            self._add(
+                t,
+                "the wrap angle by [routing] is 0 rad or less at the present angle of "
+                f"{', '.join(bending.routing.joints)}: 0 is used, and the friction is wrong; correct gains, tables or "
+                "[sheath] bending_angle; with limits.travel of these joints, the range is checked before a start",
+            )
+        missing = bending.missing
+        if missing == self._missing or not terms.permitted:
             return
         if missing:
             self._add(
