@@ -10,7 +10,7 @@ from msgspec import inspect
 
 from tsa_ctrl import settings
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
-from tsa_ctrl.config import load_configuration
+from tsa_ctrl.config import ControllerFile, load_configuration
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.plant.settings import PlantSettings, load_plant
@@ -48,7 +48,7 @@ def test_another_kind_of_file_is_named_with_the_kind_that_is_wanted(given: str, 
 @pytest.mark.parametrize(
     ("table", "key", "words"),
     [
-        ("joint", "phase", r"axis\[0\]\.joint: .*; it belongs in \[axis\.motion\], or did you mean 'weight_phase'\?$"),
+        ("joint", "phase", r"axis 'a' joint: .*; it belongs in \[axis\.motion\], or did you mean 'weight_phase'\?$"),
         ("joint", "curvature", r"; it belongs in \[axis\.tendon\]$"),
         ("joint", "interface", r"; it belongs in \[bus\], or did you mean 'inertia'\?$"),
         ("joint", "duration", r"; it belongs in \[\[axis\.fault\]\]"),
@@ -108,3 +108,78 @@ def test_a_number_outside_its_bounds_is_one_line_with_key_and_value() -> None:
     for kind, key, value in found:
         with pytest.raises(UsageError, match=rf"^x.toml: {key}: expected .*, found {re.escape(f'{value:g}')}[^\n]*$"):
             settings.convert({key: value}, kind, "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "words"),
+    [
+        (
+            "controller",
+            "stop_time",
+            300,
+            "a number above 0 and of at most 5 s, found 300 s; lower it, or divide it by 1000",
+        ),
+        (
+            "controller",
+            "stop_time",
+            -1.0,
+            "a number above 0 and of at most 5 s, found -1 s; raise it (duration of the ramp",
+        ),
+        (
+            "controller",
+            "stop_time",
+            "0.3 s",
+            "a number above 0 and of at most 5 s, found '0.3 s'; write a number in s (",
+        ),
+        ("controller", "stop_time", [1.0], "found a list; write a number in s (duration of the ramp"),
+        ("controller", "stop_time", True, "found true; write a number in s (duration of the ramp"),
+        (
+            "axis.law",
+            "compensation",
+            95,
+            "a number from 0 to 1.2, found 95; lower it, or divide it by 100 if it is in per",
+        ),
+        (
+            "axis.limits",
+            "over_speed",
+            1e9,
+            "of at most 1000 rad/s, found 1e+09 rad/s; lower it, or multiply it by 0.1047",
+        ),
+        ("axis.encoder", "heartbeat_timeout", 200, "from 0.001 to 10 s, found 200 s; lower it, or divide it by 1000"),
+        ("axis.drive", "node_id", 200, "a whole number from 1 to 127, found 200; lower it (1 to 127)"),
+        ("axis.torque_sensor", "offset", "x", "a number in N*m, found 'x'; write a number in N*m (subtracted"),
+    ],
+)
+def test_a_wrong_number_is_reported_with_unit_range_and_remedy(table: str, key: str, value: object, words: str) -> None:
+    data = settings.read_toml(CONFIG / "controller.toml")
+    section = data["axis"][0][table.removeprefix("axis.")] if table.startswith("axis.") else data[table]
+    section[key] = value
+    place = table.replace("axis.", "axis 'knee' ")
+    with pytest.raises(UsageError, match=re.escape(f"x.toml: {place}.{key}: expected ")) as caught:
+        settings.convert(data, ControllerFile, "x.toml")
+    assert words in str(caught.value), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ("$.axis[0].drive.node_id", "axis 'hip' drive.node_id"),
+        ("$.axis[0].fault[0].at", "axis 'hip' fault 'dead' at"),
+        ("$.axis[1].model", "axis[1].model"),  # two axes have the name
+        ("$.axis[3].model", "axis[3].model"),  # no name
+        ("$.bus[0].options[...]", "bus 'left' options[...]"),
+        ("$.controller.rate", "controller.rate"),
+    ],
+)
+def test_a_table_of_a_list_is_called_by_its_name(place: str, expected: str) -> None:
+    axes = [{"name": "hip", "fault": [{"name": "dead"}]}, {"name": "knee"}, {"name": "knee"}, {"name": ""}]
+    assert settings.named(place, {"axis": axes, "bus": [{"name": "left", "options": {}}]}) == expected
+
+
+def test_every_message_about_a_file_calls_an_axis_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "controller.toml"
+    text = (CONFIG / "controller.toml").read_text(encoding="utf-8")
+    for value in ('""', "nan", "0", '"x"'):
+        path.write_text(text.replace("torque = 2.0 ", f"torque = {value} "), encoding="utf-8")
+        with pytest.raises(UsageError, match=r"axis 'knee' limits"):
+            load_configuration(path)

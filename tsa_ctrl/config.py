@@ -248,7 +248,10 @@ def _with_buses(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], tuple
             f"{path}: [[bus]] rate {found}: one cycle runs over all buses at [controller] rate; remove rate, or give "
             "the axes of a bus with another rate a controller file and a daemon with another [socket] path"
         )
-    others = [settings.convert(table, BusSettings, f"{path}: [[bus]] number {n}") for n, table in enumerate(tables, 1)]
+    places = [settings.named(f"bus[{index}]", data) for index in range(len(tables))]
+    others = [
+        settings.convert(table, BusSettings, f"{path}: {place}") for place, table in zip(places, tables, strict=True)
+    ]
     return {**data, "bus": tables[0]}, tuple(others[1:])
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
 import math
 import os
 import re
@@ -59,9 +60,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 def check_finite(data: dict[str, Any], where: str | Path) -> None:
     """Raise UsageError with the key of a number in parsed TOML that is not finite."""
-    for key, value in _numbers(data, ""):
+    for place, value in _numbers(data, ""):
         if not math.isfinite(value):
-            raise UsageError(f"{where}: {key}: found {value}; give a finite number")
+            raise UsageError(f"{where}: {named(place, data)}: found {value}; give a finite number")
 
 
 MOST_TEXT = 1_000_000  # bytes, longest file that `referenced` returns; a longer file is a table of data
@@ -117,10 +118,10 @@ def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
         yield key, value
     elif isinstance(value, dict):
         for name, inner in value.items():
-            yield from _numbers(inner, f"{key}.{name}" if key else name)
+            yield from _numbers(inner, f"{key}.{name}")
     elif isinstance(value, list):
-        for inner in value:
-            yield from _numbers(inner, key)
+        for index, inner in enumerate(value):
+            yield from _numbers(inner, f"{key}[{index}]")
 
 
 def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
@@ -144,7 +145,11 @@ def check_filled(files: Iterable[tuple[str | Path, dict[str, Any], type]]) -> No
     Raises:
         UsageError: A key has the value "", the placeholder for a value that the user must provide.
     """
-    found = [(where, empty) for where, data, kind in files if (empty := list(_empty(data, kind, "")))]
+    found = [
+        (where, [named(place, data) for place in empty])
+        for where, data, kind in files
+        if (empty := list(_empty(data, kind, "")))
+    ]
     if found:
         number = sum(len(keys) for _, keys in found)
         lists = "; ".join(f"{where}: {', '.join(keys)}" for where, keys in found)
@@ -160,7 +165,7 @@ def _empty(value: object, kind: type, place: str) -> Iterator[str]:
         for index, inner in enumerate(value):
             yield from _empty(inner, kind, f"{place}[{index}]")
     elif value == "" and str not in _parts(_hint(kind, place)):
-        yield place.removeprefix(".")
+        yield place
 
 
 # Names of the project's files by the class that reads each.
@@ -195,7 +200,7 @@ def load(path: str | Path, kind: type[T]) -> T:
 
 
 def explain(message: str, kind: type, data: object = None) -> str:
-    """Return a msgspec message in the form `section.key: expected ..., found ... (range)`.
+    """Return a msgspec message in the form `section.key: expected RANGE UNIT, found VALUE UNIT; REMEDY (meaning)`.
 
     Args:
         message: message of msgspec.
@@ -204,30 +209,165 @@ def explain(message: str, kind: type, data: object = None) -> str:
     """
     text, _, at = message.partition(" - at ")
     place = at.strip("` ")
-    key = re.sub(r"^\$\.?|`", "", place) or "top level"
+    key = named(place, data) or "top level"
     unknown = re.match(r"Object contains unknown field `(.+)`", text)
     if unknown:
         return f"{key}: unknown key '{unknown.group(1)}'; {_advice(unknown.group(1), place, kind)}"
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:
-        return f"{key}: key '{missing.group(1)}' is missing; add it"
-    if text.startswith("Invalid enum value"):
-        text += (
-            f"; allowed are {', '.join(str(value) for part in _parts(_hint(kind, place)) for value in _choices(part))}"
-        )
-    found, description = _number_at(data, place), _description(kind, place)
-    value = f", found {found:g}" if found is not None else ""
-    return f"{key}: {text[:1].lower()}{text[1:]}{value}{f' ({description})' if description else ''}"
+        meaning = _meaning(kind, f"{place}.{missing.group(1)}")
+        return f"{key}: key '{missing.group(1)}' is missing; add it{_in_brackets(meaning)}"
+    wrong = re.fullmatch(r"Expected `(.+?)`(?:, got `(\w+)`| ([<>]=? \S+))", text)
+    types, got, bound = (group or "" for group in wrong.groups()) if wrong else ("", "", "")
+    value, meaning = _value_at(data, place), _meaning(kind, place)
+    choices = [choice for part in _parts(_hint(kind, place)) for choice in _choices(part)]
+    if text.startswith("Invalid enum value") or (choices and types in ("str", "int")):
+        found = f"{text[:1].lower()}{text[1:]}" if wrong is None else f"invalid value {_shown(value, got)}"
+        return f"{key}: {found}; allowed are {', '.join(map(str, choices))}"
+    if wrong is None:
+        return f"{key}: {text[:1].lower()}{text[1:]}{_in_brackets(meaning)}"
+    wanted = " or ".join(TYPES.get(name, name) for name in types.split(" | ") if name != "null")
+    if value is None:  # inside a table with keys of its own
+        return f"{key}: expected {wanted} {bound or f'but found {TYPES.get(got, got)}'}{_in_brackets(meaning)}"
+    if "number" not in wanted:
+        return f"{key}: expected {wanted}, found {_shown(value, got)}; write {wanted}{_in_brackets(meaning)}"
+    unit, meaning = _split_unit(meaning)
+    spaced = f" {unit}" if unit not in ("", "1") else ""
+    expected = f"{wanted}{_range(kind, place, bound) or (spaced and ' in')}{spaced}"
+    if got:
+        found, remedy = _shown(value, got), f"write {wanted}{spaced and ' in'}{spaced}"
+    elif bound.startswith(">"):
+        found, remedy = f"{value:g}{spaced}", "raise it"
+    else:
+        mistaken = "" if _description(kind, place) else MISTAKEN.get(unit, "")  # a description includes the mistake
+        found, remedy = f"{value:g}{spaced}", f"lower it{mistaken and ', or '}{mistaken}"
+    return f"{key}: expected {expected}, found {found}; {remedy}{_in_brackets(meaning)}"
 
 
-def _number_at(data: object, place: str) -> float | None:
-    """Return the number at a key path of parsed TOML, or None without a number."""
-    for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
+TYPES = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text in quotes",
+    "bool": "true or false",
+    "object": "a table",
+    "array": "a list",
+}
+# Remedies for a number that is probably in another unit than the one of the key
+MISTAKEN = {
+    "s": "divide it by 1000 if it is in milliseconds",
+    "m": "divide it by 1000 if it is in millimetres",
+    "rad": "multiply it by 0.01745 if it is in degrees",
+    "rad/s": "multiply it by 0.1047 if it is in rpm, by 0.01745 if it is in degrees per second",
+    "N*m": "divide it by 1000 if it is in N*mm",
+    "kg*m^2": "multiply it by 1e-7 if it is in g*cm^2",
+    "1": "divide it by 100 if it is in per cent",
+}
+UNIT = re.compile(r"(?!1 (?:or|to) )(?:1|Hz|MB|bit/s|deg C|kg|rad|[sJmN])(?:[*/^](?:Hz|rad|[smK2]))*(?=[ ,;:]|$)")
+
+
+def _split_unit(meaning: str) -> tuple[str, str]:
+    """Return the unit at the start of a description, "" without one, and the rest."""
+    unit = UNIT.match(meaning)
+    return (unit.group(), re.sub(r"^[ ,;:]+", "", meaning[unit.end() :])) if unit else ("", meaning)
+
+
+def _in_brackets(meaning: str) -> str:
+    return f" ({meaning})" if meaning else ""
+
+
+def _meaning(kind: type, place: str) -> str:
+    """Return unit and meaning of the field at a place, from the description of its range or the shipped file."""
+    text = _description(kind, place)
+    if text or kind.__name__ not in SHIPPED:
+        return text
+    name, section = SHIPPED[kind.__name__]
+    path = ".".join((*filter(None, [section]), *re.findall(r"\.(\w+)", place)))
+    comments = _comments(name)
+    # The nodes of an axis share keys, which the file shows once, at the drive.
+    return comments.get(path) or comments.get(re.sub(r"^axis\.(encoder|torque_sensor)\.", "axis.drive.", path), "")
+
+
+# Shipped files whose comments document the keys of a settings class, with the section of that class in the file.
+SHIPPED = {
+    "ControllerFile": ("controller.toml", ""),
+    "BusSettings": ("controller.toml", "bus"),
+    "PlantSettings": ("plant.toml", ""),
+    "FaultSettings": ("plant.toml", "axis.fault"),
+    "ActuatorFile": ("actuator.toml", ""),
+    "DriveProfile": ("drives/generic.toml", ""),
+}
+
+
+@functools.cache
+def _comments(name: str) -> dict[str, str]:
+    """Return the comment of each key of a shipped file up to its first semicolon, by the path of the key."""
+    found: dict[str, str] = {}
+    section = key = ""
+    for line in (Path(__file__).parent / "shipped" / name).read_text(encoding="utf-8").splitlines():
+        if header := re.match(r"#?\s*\[+([\w.]+)\]+\s*(?:#|$)", line):
+            section, key = f"{header.group(1)}.", ""
+        elif entry := re.match(r"#?\s*([\w.]+)\s*=\s.*?\s#\s(.+)", line):
+            key = f"{section}{entry.group(1)}"
+            found[key] = entry.group(2)
+        elif key and (more := re.match(r"#?\s+#\s+(.+)", line)):
+            found[key] += f" {more.group(1)}"
+        else:
+            key = ""
+    return {key: comment.split(";")[0] for key, comment in found.items()}
+
+
+def named(place: str, data: object) -> str:
+    """Return a key path such as `$.axis[0].drive` with the names of the tables of its lists: `axis 'knee' drive`.
+
+    An index remains if the table has no name, or if another table of the list has the same one.
+    """
+    text = separator = ""
+    for key, index in re.findall(r"([^.\[\]]+)|\[(\d+|\.\.\.)\]", place.removeprefix("$")):
+        if key:
+            text, separator = f"{text}{separator}{key}", "."
+            data = data.get(key) if isinstance(data, dict) else None
+            continue
+        listed = data if isinstance(data, list) and index != "..." else []
+        names = [table.get("name") if isinstance(table, dict) else None for table in listed]
+        name, data = (names[int(index)], listed[int(index)]) if listed else (None, None)
+        has_name = isinstance(name, str) and name and names.count(name) == 1
+        text, separator = (f"{text} '{name}'", " ") if has_name else (f"{text}[{index}]", ".")
+    return text
+
+
+def _value_at(data: object, place: str) -> object:
+    """Return the value at a key path of parsed TOML, or None if it is not there."""
+    for name, index in re.findall(r"\.(\w+)|\[(.+?)\]", place):
         try:
-            data = data[name] if isinstance(data, dict) else data[int(index)]  # type: ignore[index]
+            data = data[name] if isinstance(data, dict) and name else data[int(index)]  # type: ignore[index]
         except (KeyError, IndexError, TypeError, ValueError):
             return None
-    return data if isinstance(data, int | float) and not isinstance(data, bool) else None
+    return data
+
+
+def _shown(value: object, got: str = "") -> str:
+    """Return a value as it is written in a file; of a table or a list only that it is one."""
+    if isinstance(value, str):
+        return repr(value if len(value) <= MOST_SHOWN else value[:MOST_SHOWN] + "...")
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, int | float) else TYPES.get(got, type(value).__name__)
+
+
+MOST_SHOWN = 40  # characters of a text in a message
+
+
+def _range(kind: type, place: str, violated: str) -> str:
+    """Return the permitted range of the number at a place, or the violated bound if the place has several ranges."""
+    metas = [part for part in _parts(_hint(kind, place)) if isinstance(part, msgspec.Meta)]
+    bounds = {(part.ge, part.gt, part.le, part.lt) for part in metas} - {(None,) * 4}
+    if len(bounds) != 1:
+        return f" {violated}" if violated else ""
+    ge, gt, le, lt = bounds.pop()
+    if ge is not None and le is not None:
+        return f" from {ge:.10g} to {le:.10g}"
+    words = (("of at least", ge), ("above", gt), ("of at most", le), ("below", lt))
+    return " " + " and ".join(f"{word} {bound:.10g}" for word, bound in words if bound is not None)
 
 
 def _description(kind: object, place: str) -> str:

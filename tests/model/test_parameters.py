@@ -131,14 +131,20 @@ GEARED = '[actuator]\nkind = "geared_drive"\n'
 
 WRONG = [
     (changed("diameter", "diametre"), r"tendon: unknown key 'diametre'; did you mean 'diameter'\?"),
-    (changed("stiffness = 60e3", 'stiffness = "60e3"'), "tendon.axial_stiffness: expected .float."),
+    (
+        changed("stiffness = 60e3", 'stiffness = "60e3"'),
+        "tendon.axial_stiffness: expected a number above 0 N, found '60e3'; write a number in N",
+    ),
     (changed("value = 45.0", "# value"), "no pretension; give"),
     (changed("# unstrained_bending_angle", "unstrained_bending_angle"), ".* are given; keep one"),
     (
         changed("# length_change", "length_change"),
         r"\[pretension\] value \(N\) and .*_change \(m\) are given",
     ),
-    (changed("# length_change = 0.9e-3", "length_change = 9"), "length_change: .*<= 0.5, found 9 .*millimetres"),
+    (
+        changed("# length_change = 0.9e-3", "length_change = 9"),
+        "length_change: .*from 0 to 0.5 m, found 9 .*millimetres",
+    ),
     (changed("# series_position", "series_position"), "series_position needs series_stiffness; give series_stiff"),
     (
         changed("[sheath]", 'series_stiffness = 2e4\nseries_position = "middle"\n[sheath]'),
@@ -148,7 +154,7 @@ WRONG = [
         with_course("[[0.0, 0.0], [0.5, 0.6], [0.4, 1.0], [1.0, 1.0]]"),
         r"bending_course is \[\[0.*; give \[\[frac",
     ),
-    (changed("bending_centre = 0.5 ", "bending_centre = 1.01 "), "bending_centre: .*<= 1"),
+    (changed("bending_centre = 0.5 ", "bending_centre = 1.01 "), "bending_centre: .*from 0 to 1, found"),
     (with_effect("viscous_friction"), "key 'coefficient' is missing; give a number at least 0"),
     (with_effect("viscous_friction", "coefficient = -0.1"), "coefficient = -0.1; allowed is a number at least 0"),
     (with_effect("viscous_friction", "coeficient = 0.1"), "unknown key 'coeficient'; did you mean 'coefficient'"),

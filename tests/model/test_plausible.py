@@ -34,11 +34,11 @@ def rejected(changes: dict[str, dict[str, float]], words: str) -> str:
 @pytest.mark.parametrize(
     ("table", "key", "value", "words"),
     [
-        ("actuator", "motor_pulley_radius", 20.0, "<= 0.5, found 20 .*divide millimetres"),
-        ("tendon", "unstrained_length", 1200.0, "<= 20.0, found 1200 .*divide millimetres"),
-        ("sheath", "bending_angle", 149.0, "<= 18.8.*, found 149 .*degrees"),
-        ("sheath", "contact_offset", 0.4, "<= 0.02, found 0.4 .*divide mm"),
-        ("uncertainty", "pretension", 25.0, "<= 10.0, found 25 .*per cent"),
+        ("actuator", "motor_pulley_radius", 20.0, "from 0.001 to 0.5 m, found 20 .*divide millimetres"),
+        ("tendon", "unstrained_length", 1200.0, "from 0.01 to 20 m, found 1200 .*divide millimetres"),
+        ("sheath", "bending_angle", 149.0, "from 0 to 18.8.* rad, found 149 .*degrees"),
+        ("sheath", "contact_offset", 0.4, "from 0 to 0.02 m, found 0.4 .*divide mm"),
+        ("uncertainty", "pretension", 25.0, "from 0 to 10, found 25; lower it .*per cent"),
     ],
 )
 def test_a_number_that_no_such_part_has_is_rejected(table: str, key: str, value: float, words: str) -> None:
@@ -74,9 +74,9 @@ def test_a_value_a_thousand_times_beyond_its_limit_is_rejected_by_every_command(
 @pytest.mark.parametrize(
     ("kind", "key", "value", "words"),
     [
-        ("rigid_drive", "inertia", 1e6, "<= 1000.0, found 1e.06 .*g.cm"),
-        ("rigid_drive", "torque_offset", -1e4, ">= -500.0, found -10000"),
-        ("geared_drive", "ratio", 1e-9, ">= 0.01, found 1e-09 .*motor turns"),
+        ("rigid_drive", "inertia", 1e6, "from 0 to 1000 kg.*, found 1e.06 .*g.cm"),
+        ("rigid_drive", "torque_offset", -1e4, "from -500 to 500 N.m, found -10000"),
+        ("geared_drive", "ratio", 1e-9, "from 0.01 to 10000, found 1e-09; raise it .*motor turns"),
     ],
 )
 def test_a_number_that_no_drive_has_is_rejected(kind: str, key: str, value: float, words: str) -> None:

@@ -130,7 +130,7 @@ def changed(number: int, **keys: Any) -> list[dict[str, Any]]:
         (changed(1, channel="can0"), TWO, "channel 'can0' is also used by 'left'"),
         (changed(1, host_node_id=126), TWO, r"'right': host_node_id differs from bus 'left'"),
         (changed(1, supervision={"tolerated_misses": 5}), TWO, "supervision differs from bus 'left'"),
-        (changed(1, bitrate=100), TWO, r"\[\[bus\]\] number 2: bitrate"),
+        (changed(1, bitrate=100), TWO, r"bus 'right': bitrate"),
         ([], TWO, "bus is a list without tables"),
     ],
 )

@@ -274,8 +274,8 @@ def load_plant(path: str | Path) -> PlantSettings:
     listed = data.get("bus")
     others: list[BusSettings] = []
     if isinstance(listed, list) and listed and all(isinstance(table, dict) for table in listed):
-        each = enumerate(listed, 1)
-        others = [settings.convert(table, BusSettings, f"{path}: [[bus]] number {n}") for n, table in each][1:]
+        places = [f"{path}: {settings.named(f'bus[{index}]', data)}" for index in range(len(listed))]
+        others = [settings.convert(table, BusSettings, place) for place, table in zip(places, listed, strict=True)][1:]
         data = {**data, "bus": listed[0]}
     plant = msgspec.structs.replace(settings.convert(data, PlantSettings, path), other_buses=others)
     _check_buses(plant, path)

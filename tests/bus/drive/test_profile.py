@@ -78,7 +78,7 @@ def test_unknown_profile_is_answered_with_the_known_ones() -> None:
         (_OFFSET.format(0x60B2), "'mine' writes 5 to 0x60B2, which the drive adds to the command; allowed is 0"),
         (_OFFSET.format(0x70B1), "[[extra]] 'mine' writes 5 to 0x70B1"),
         (_EXTRA.format("u24", 1 << 24), "'mine': value 16777216 does not fit u24 (whole numbers from 0 to 16777215)"),
-        (_EXTRA.format("f32", "inf"), "extra.value: found inf; give a finite number"),
+        (_EXTRA.format("f32", "inf"), "extra 'mine' value: found inf; give a finite number"),
         (_EXTRA.format("f32", 1e39), "'mine': value 1e+39 does not fit f32 (-3.40282e+38 to 3.40282e+38)"),
         ("absent = ['max torque']", "no object limits the drive's torque"),
         ("[units]\nvelocity = 'furlong'", "units.velocity: invalid enum value 'furlong'"),
