@@ -44,8 +44,8 @@ HELD = {"knee": SignAndGain(date="2026-11-24T10:00:00+00:00", gain=1.01, sensor=
 
 def load(folder: Path, tuned: str = TUNED, **changes: Any) -> Configuration:
     """Return the configuration of a rig in class "worn" that lacks only the record of verify-safety."""
-    file = merged({"safety": WORN}, changes.pop("file", {}))
-    path, _ = write(folder, controller(file=file, **changes))
+    file = merged({"safety": WORN, "controller": {"settle_cycles": 100}}, changes.pop("file", {}))
+    path, _ = write(folder, controller(file=file, **{"law": {"fade_in": 1.0}, **changes}))
     (folder / "actuator.toml").write_text(ACTUATOR + tuned, encoding="utf-8")
     return load_configuration(path)
 
@@ -107,7 +107,8 @@ def test_several_axes_need_a_travel_each(tmp_path: Path) -> None:
 
 def test_everything_that_is_missing_is_one_message_of_one_line(tmp_path: Path) -> None:
     """`tsa run` and `tsa run --check` report all six missing items in one line."""
-    path, _ = write(tmp_path, controller(torque_sensor=None, file={"safety": {"class": "worn"}}))
+    file = {"safety": {"class": "worn"}, "controller": {"settle_cycles": 100}}
+    path, _ = write(tmp_path, controller(torque_sensor=None, law={"fade_in": 1.0}, file=file))
     (tmp_path / "actuator.toml").write_text(ACTUATOR, encoding="utf-8")
     words = ("lacks 6: ", "wearer_speed", "load cells", "travel", "serial number", "verify-safety", "--held")
     with pytest.raises(UsageError) as caught:
@@ -152,7 +153,7 @@ def test_other_pulleys_invalidate_the_record(tmp_path: Path) -> None:
     "changes",
     [
         {"setpoint": {"amplitude": 0.7}},
-        {"law": {"compensation": 0.5}},
+        {"law": {"compensation": 0.5, "fade_in": 1.0}},
         {"file": {"log": {"folder": "elsewhere"}}},
         {"file": {"controller": {"after_fault": "exit"}}},
     ],
@@ -212,6 +213,13 @@ def lines(folder: Path, **changes: Any) -> list[str]:
         ({"drive": {"host_timeout": 10.0}}, "host_timeout 10 s (shipped is 0.1)"),
         ({"torque_sensor": {"heartbeat_timeout": 10.0}}, "[axis.torque_sensor] heartbeat_timeout 10 s"),
         ({"file": {"safety": {"zero_torque_within": 5.0}}}, "zero_torque_within 5 s (shipped is 0.25)"),
+        ({"file": {"controller": {"settle_cycles": 5}}}, "[controller] settle_cycles 5 cycles (shipped is 100)"),
+        ({"file": {"bus": {"send_queue": 64}}}, "[bus] send_queue 64 frames (shipped is 32)"),
+        (
+            {"estimator": {"kind": "sensor", "use": True, "residual": 9.0}},
+            "[axis.estimator] residual 9 N*m (shipped is",
+        ),
+        ({"serial": [CELLS[0] | {"timeout": 1.0}]}, "[axis.serial] timeout 1 s (shipped is 0.1)"),
         ({"file": {"safety": {"wearer_speed": 9.0}}}, "joint_speed 11.25 rad/s (shipped is 10)"),
         ({"file": {"safety": WORN | {"wearer_speed": 9.0}}}, "joint_speed 11.25 rad/s (shipped is 8.75)"),
     ],
@@ -232,7 +240,7 @@ def test_check_and_status_list_the_loose_bounds_and_the_example_has_none(tmp_pat
 def test_a_drive_without_a_speed_clamp_is_reported(tmp_path: Path) -> None:
     (tmp_path / "drives").mkdir()
     (tmp_path / "drives/mine.toml").write_text(tomlkit.dumps({"absent": ["max motor speed"]}), encoding="utf-8")
-    (line,) = lines(tmp_path, drive={"profile": "mine"})
+    *_, line = lines(tmp_path, drive={"profile": "mine"})
     assert line == (
         "axis 'knee': the drive has no 0x6080:0 max motor speed (by its profile): the controller alone limits the "
         "speed of the motor"

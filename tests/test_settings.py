@@ -147,7 +147,7 @@ def test_a_number_outside_its_bounds_is_one_line_with_key_and_value() -> None:
         ),
         ("axis.encoder", "heartbeat_timeout", 200, "from 0.001 to 10 s, found 200 s; lower it, or divide it by 1000"),
         ("axis.drive", "node_id", 200, "a whole number from 1 to 127, found 200; lower it (1 to 127)"),
-        ("axis.torque_sensor", "offset", "x", "a number in N*m, found 'x'; write a number in N*m (subtracted"),
+        ("axis.torque_sensor", "offset", "x", "from -10000 to 10000 N*m, found 'x'; write a number in N*m (subtracted"),
     ],
 )
 def test_a_wrong_number_is_reported_with_unit_range_and_remedy(table: str, key: str, value: object, words: str) -> None:
@@ -183,3 +183,16 @@ def test_every_message_about_a_file_calls_an_axis_by_its_name(tmp_path: Path) ->
         path.write_text(text.replace("torque = 2.0 ", f"torque = {value} "), encoding="utf-8")
         with pytest.raises(UsageError, match=r"axis 'knee' limits"):
             load_configuration(path)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "words"),
+    [
+        ("motion", "amplitude", 120.0, "from -100 to 100 rad, found 120 rad; lower it, or multiply it by 0.01745"),
+        ("drive", "boot_time", 5000.0, "from 0 to 3600 s, found 5000 s; lower it, or divide it by 1000"),
+        ("drive", "peak_torque", 2e4, "at most 10000 N*m, found 20000 N*m; lower it, or divide it by 1000"),
+    ],
+)
+def test_a_value_of_the_plant_in_another_unit_is_rejected(table: str, key: str, value: float, words: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(words)):
+        settings.convert({"axis": [{"name": "a", table: {key: value}}]}, PlantSettings, "x.toml")

@@ -23,7 +23,7 @@ from tsa_ctrl.control.law_design import reversal_speed
 from tsa_ctrl.errors import UsageError, rounded_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.provenance import NODES, NodeIdentity
-from tsa_ctrl.safety.bounds import SLOWER, WORN_FACTOR, Loose, Shipped, loose_bounds
+from tsa_ctrl.safety.bounds import SMALLER, WORN_FACTOR, Loose, Shipped, loose_bounds
 from tsa_ctrl.safety.plausibility import DEFAULT_JOINT_TORQUE, DEFAULT_TORQUE
 from tsa_ctrl.safety.use_class import longest_fault, wearer_speeds
 
@@ -220,6 +220,7 @@ def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
     whole: dict[str, msgspec.Struct | None] = {
         "controller": file.controller,
         "realtime": file.realtime,
+        "bus": file.bus,
         "bus.supervision": file.bus.supervision,
         "safety": file.safety,
     }
@@ -235,12 +236,16 @@ def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
             "axis.setpoint": axis.setpoint,
             "axis.direction": axis.direction,
             "axis.law": axis.law,
+            "axis.estimator": axis.estimator if axis.estimator.use or axis.estimator.kind == "map" else None,
             "axis.limits": axis.limits,
             "axis.plausibility": axis.plausibility,
             "axis.passivity": axis.passivity,
         }
         for found in loose_bounds(sections, _shipped(configuration, axis, model)):
             yield axis.name, found
+        for sensor in axis.serial:
+            for found in loose_bounds({"axis.serial": sensor}, {}):
+                yield axis.name, found
 
 
 def loose_lines(configuration: Configuration) -> list[str]:
@@ -265,7 +270,7 @@ def _most(bound: Loose) -> str:
     if math.isnan(bound.shipped):
         return "only what follows from the model"
     unit = "" if bound.unit == "1" else f" {bound.unit}"
-    if bound.key in SLOWER:
+    if bound.key in SMALLER:
         return f"{bound.shipped / WORN_FACTOR:.4g}{unit} at least"
     return f"{WORN_FACTOR * bound.shipped:.4g}{unit} at most"
 

@@ -7,18 +7,20 @@ import math
 import msgspec
 import pytest
 
-from tsa_ctrl.bus.settings import DriveSettings, EncoderSettings, SupervisionSettings, TorqueSensorSettings
+from tsa_ctrl.bus.settings import BusSettings, DriveSettings, EncoderSettings, SupervisionSettings, TorqueSensorSettings
 from tsa_ctrl.config import ControllerSection
-from tsa_ctrl.control.settings import DirectionSettings, LawSettings, SetPointSettings
-from tsa_ctrl.safety.bounds import KEYS, SLOWER, loose_bounds
+from tsa_ctrl.control.settings import DirectionSettings, EstimatorSettings, LawSettings, SetPointSettings
+from tsa_ctrl.safety.bounds import KEYS, SMALLER, loose_bounds
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.settings import PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings
+from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 
 SECTIONS: dict[str, msgspec.Struct] = {
     "controller": ControllerSection(),
     "realtime": RealtimeSettings(),
+    "bus": BusSettings(),
     "bus.supervision": SupervisionSettings(),
     "safety": SafetySettings(),
     "axis.drive": DriveSettings(node_id=1),
@@ -27,6 +29,8 @@ SECTIONS: dict[str, msgspec.Struct] = {
     "axis.setpoint": SetPointSettings(),
     "axis.direction": DirectionSettings(),
     "axis.law": LawSettings(),
+    "axis.estimator": EstimatorSettings(),
+    "axis.serial": SerialSensorSettings(quantity="tau_j", port="/dev/null"),
     "axis.limits": LimiterSettings(torque=1.0),
     "axis.plausibility": PlausibilitySettings(),
     "axis.passivity": PassivitySettings(),
@@ -49,7 +53,7 @@ def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
         looser = (-90.0, 90.0)
     elif key == "joint_speed":  # must stay below over_speed
         looser = 1.1 * default
-    elif key in SLOWER:
+    elif key in SMALLER:
         looser = default / 2.5
     else:
         looser = 2.5 * (1 if default is None else default)
@@ -58,7 +62,7 @@ def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
     assert (found.section, found.key, found.unfit_to_wear) == (section, key, key != "joint_speed")
     if isinstance(default, float):
         tighter = SECTIONS | {
-            section: msgspec.structs.replace(SECTIONS[section], **{key: (1.1 if key in SLOWER else 0.9) * default})
+            section: msgspec.structs.replace(SECTIONS[section], **{key: (1.1 if key in SMALLER else 0.9) * default})
         }
         assert not list(loose_bounds(tighter, TORQUE))
 

@@ -11,7 +11,11 @@ import msgspec
 from msgspec import Meta
 
 NodeId = Annotated[int, Meta(ge=1, le=127)]
-Positive = Annotated[float, Meta(gt=0.0)]
+# Limits beyond which a value is in another unit
+Torque = Annotated[float, Meta(gt=0.0, le=1e4)]  # N*m
+Ratio = Annotated[float, Meta(gt=0.0, le=1e4)]
+Speed = Annotated[float, Meta(gt=0.0, le=1e4)]  # rad/s
+Frequency = Annotated[float, Meta(gt=0.0, le=1e5)]  # Hz
 Fraction = Annotated[float, Meta(gt=0.0, le=1.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
@@ -90,17 +94,17 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     slot: Annotated[int, Meta(ge=1, le=MOST_SLOTS)] = 1  # place in a device with several axes: objects 0x800 apart
     pdo_node_id: NodeId | None = None  # node id of its PDO identifiers; default: its own, for slots 1 and 2
     profile: str = "generic"  # name of a file in drives/ next to the configuration, or a path
-    rated_torque: Positive = 1.0  # N*m of the motor, the required value of 0x6076
+    rated_torque: Torque = 1.0  # N*m of the motor, the required value of 0x6076
     counts_per_revolution: Counts = 65536  # of the motor, 0x6064
-    gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
+    gear_ratio: Ratio = 1.0  # motor revolutions per revolution of the motor pulley
     torque_sign: Sign = 1
     position_sign: Sign = 1  # of position and velocity
     polarity: Annotated[int, Meta(ge=0, le=255)] | None = None  # 0x607E, written; default: it must reverse no sign
     pdo: Literal["standard", "lean"] = "standard"  # lean: one TPDO each SYNC, without 0x606C; mode and error every 50th
     velocity_source: Literal["drive", "position"] = "drive"  # 0x606C, or 0x6064 differentiated
-    velocity_cutoff: Positive = 100.0  # Hz, of the filter of the differentiated position
-    max_torque: Positive | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio
-    max_speed: Positive = 50.0  # rad/s, the drive's own clamp 0x6080; default in a file: limits.motor_over_speed
+    velocity_cutoff: Frequency = 100.0  # Hz, of the filter of the differentiated position
+    max_torque: Torque | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio
+    max_speed: Speed = 50.0  # rad/s, the drive's own clamp 0x6080; default in a file: limits.motor_over_speed
     host_timeout: Seconds = 0.1  # s without our heartbeat, 0x1016: the drive stops
     rpdo_timeout: Seconds = 0.02  # s without a command, 0x1400:5, if the drive has it
     connection_loss: Literal["fault", "disable_voltage", "quick_stop"] = "fault"  # 0x6007
@@ -119,16 +123,16 @@ class EncoderSettings(NodeSettings, frozen=True, kw_only=True):
     counts_range: Counts = 1 << 32  # value at which the position wraps
     sign: Sign = 1
     zero: Annotated[int, Meta(ge=0, le=0xFFFFFFFF)] = 0  # counts at q_j = 0
-    velocity_cutoff: Positive = 50.0  # Hz, first-order low-pass on the differentiated position
+    velocity_cutoff: Frequency = 50.0  # Hz, first-order low-pass on the differentiated position
 
 
 class TorqueSensorSettings(NodeSettings, frozen=True, kw_only=True):
     """A CiA 404 joint torque sensor. `control.direction` decides when it determines the slip direction."""
 
     every: Annotated[int, Meta(ge=1, le=2)] | None = None  # SYNCs per answer; default: 1, or 2 if the bit rate needs it
-    resolution: Positive = 1e-6  # N*m per digit of 0x9130:1
+    resolution: Torque = 1e-6  # N*m per digit of 0x9130:1
     sign: Sign = 1
-    offset: float = 0.0  # N*m, subtracted
+    offset: Annotated[float, Meta(ge=-1e4, le=1e4)] = 0.0  # N*m, subtracted
 
 
 class AxisNodes(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

@@ -17,6 +17,13 @@ from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 NodeId = Annotated[int, Meta(ge=1, le=127)]
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
+# Limits beyond which a value is in another unit
+Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]  # rad
+SignedTorque = Annotated[float, Meta(ge=-1e4, le=1e4)]  # N*m
+Torque = Annotated[float, Meta(gt=0.0, le=1e4)]  # N*m
+Load = Annotated[float, Meta(ge=0.0, le=1e4)]  # N*m
+Seconds = Annotated[float, Meta(ge=0.0, le=3600.0)]
+Ratio = Annotated[float, Meta(gt=0.0, le=1e4)]
 Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
@@ -67,10 +74,10 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     modes: tuple[ModeName, ...] = ("cst",)  # modes that 0x6502 reports and 0x6060 accepts
 
     # startup
-    boot_time: NonNegative = 0.0  # time from reset or power-on to the boot-up message, s
+    boot_time: Seconds = 0.0  # time from reset or power-on to the boot-up message, s
     starts_itself: bool = False  # true: the drive enters the state operational after the boot-up without a command
     emcy_at_boot: Code = 0  # error code of an EMCY that follows the boot-up message; 0: no EMCY
-    answer_time: NonNegative = 0.0  # time from an SDO request to its response, s
+    answer_time: Seconds = 0.0  # time from an SDO request to its response, s
     node_id_unset: bool = False  # true: the drive has no node id until LSS assigns one
     sync_producer: bool = False  # true: bit 30 of 0x1005 is set at power-on, and the drive sends a SYNC every 10 ms
 
@@ -86,7 +93,7 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
 
     # state machine
     mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 reports the mode, otherwise 0
-    step_time: NonNegative = 0.0  # least time between two transitions towards operation enabled, s
+    step_time: Seconds = 0.0  # least time between two transitions towards operation enabled, s
     statusword_bits: Code = 0  # bits of the statusword that are always set, for example the maker's bits 8, 14 and 15
     reports_following: bool = True  # false: bit 12 of the statusword is always 0
     safe_torque_off: bool = False  # true: safe torque off is active; the drive stays in switch on disabled, bit 4 is 0
@@ -103,16 +110,16 @@ class DriveSettings(Quirks, frozen=True, kw_only=True):
     vendor: Word = 0x00000F0F
     product: Word = 0x0402
     serial_number: Word | None = None  # default: the node id
-    rated_torque: Positive = 1.0  # N*m of the motor
-    rated_torque_unit: Positive = 1e-3  # N*m per digit of 0x6076
-    gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
+    rated_torque: Torque = 1.0  # N*m of the motor
+    rated_torque_unit: Torque = 1e-3  # N*m per digit of 0x6076
+    gear_ratio: Ratio = 1.0  # motor revolutions per revolution of the motor pulley
     counts_per_revolution: Counts = 65536  # of the motor, 0x6064
     velocity_exponent: Annotated[int, Meta(ge=-6, le=0)] = -3  # 0x606C in units of 10^exponent rpm
     torque_sign: Sign = 1
     position_sign: Sign = 1
-    torque_time_constant: NonNegative = 0.5e-3  # s, current loop
-    peak_torque: Positive = 3.0  # N*m at the motor, limit of the power stage
-    torque_noise: NonNegative = 2e-3  # N*m at the pulley, standard deviation of 0x6077
+    torque_time_constant: Seconds = 0.5e-3  # s, current loop
+    peak_torque: Torque = 3.0  # N*m at the motor, limit of the power stage
+    torque_noise: Load = 2e-3  # N*m at the pulley, standard deviation of 0x6077
 
 
 class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -140,8 +147,8 @@ class JointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     damping: NonNegative | None = None  # N*m*s/rad; default 0.05, of limb and wearer 0.1
     stiffness: NonNegative = 4.0  # N*m/rad, of the spring
     rest_angle: float = 0.0  # rad, of the spring
-    weight_torque: NonNegative | None = None  # N*m, m g l of weight, limb, wearer; default 1, of limb and wearer 4
-    weight_phase: float = 0.0  # rad: torque m g l sin(q + phase)
+    weight_torque: Load | None = None  # N*m, m g l of weight, limb, wearer; default 1, of limb and wearer 4
+    weight_phase: Angle = 0.0  # rad: torque m g l sin(q + phase)
     initial_angle: float = 0.0  # rad; where a held joint stays
     hand: list[HandRow] = []  # [s, N*m/rad, N*m*s/rad, rad], for loads that move; default none, for wearer a script
     hand_repeat: bool = True  # the script starts again at its end; otherwise it stays there
@@ -151,15 +158,15 @@ class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     """Define the prescribed motion of the joint (load = "imposed")."""
 
     kind: Literal["gait", "sine", "file", "still"] = "gait"
-    amplitude: float = 0.5  # rad, of the sine
+    amplitude: Angle = 0.5  # rad, of the sine
     frequency: Annotated[float, Meta(ge=1e-3, le=1e3)] = 0.5  # Hz, of the sine
-    offset: float = 0.0  # rad, mean of the sine, or the constant angle
-    phase: float = 0.0  # rad, of the sine
+    offset: Angle = 0.0  # rad, mean of the sine, or the constant angle
+    phase: Angle = 0.0  # rad, of the sine
     period: Annotated[float, Meta(ge=1e-2, le=1e3)] = 1.6  # s, of the gait cycle
     scale: float = 1.0  # of the gait profile or of the file
     file: str | None = None  # CSV with columns t, q_j and optionally omega_j
     repeat: bool = True  # repeat the file; otherwise the joint stays at its end
-    ramp: NonNegative = 1.0  # s, in which the motion grows from standstill
+    ramp: Seconds = 1.0  # s, in which the motion grows from standstill
 
 
 class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -185,10 +192,10 @@ class TorqueSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     vendor: Word = 0x00000F0F
     product: Word = 0x0404
     serial_number: Word | None = None  # default: the node id
-    resolution: Positive = 1e-6  # N*m per digit of 0x9130:1
+    resolution: Torque = 1e-6  # N*m per digit of 0x9130:1
     sign: Sign = 1
-    offset: float = 0.0  # N*m
-    noise: NonNegative = 5e-3  # N*m, standard deviation
+    offset: SignedTorque = 0.0  # N*m
+    noise: Load = 5e-3  # N*m, standard deviation
 
 
 class PerturbationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

@@ -10,11 +10,12 @@ import msgspec
 
 Shipped = Mapping[tuple[str, str], float]  # by section and key
 
-# Keys by section, each with its unit. A number is looser if it is larger (if its key is in `SLOWER`: smaller). A flag
+# Keys by section, each with its unit. A number is looser if it is larger (if its key is in `SMALLER`: smaller). A flag
 # (unit "") is looser if it differs.
 KEYS: Mapping[str, Mapping[str, str]] = {
-    "controller": {"stop_time": "s"},
-    "realtime": {"allow_without": ""},
+    "controller": {"settle_cycles": "cycles", "stop_time": "s"},
+    "realtime": {"allow_without": "", "lock_memory": ""},
+    "bus": {"max_load": "1", "send_queue": "frames"},
     "bus.supervision": {
         "tolerated_misses": "cycles",
         "tolerated_drops": "cycles",
@@ -35,7 +36,16 @@ KEYS: Mapping[str, Mapping[str, str]] = {
     "axis.torque_sensor": {"heartbeat_timeout": "s"},
     "axis.setpoint": {"timeout": "s", "rate": "N*m/s"},
     "axis.direction": {"zone": "rad/s"},
-    "axis.law": {"compensation": "1"},
+    "axis.law": {"compensation": "1", "fade_in": "s", "settle": "1"},
+    "axis.estimator": {
+        "bounds": "1",
+        "rate": "1/s",
+        "least_speed": "rad/s",
+        "settle": "s",
+        "residual": "N*m",
+        "most_acceleration": "rad/s^2",
+    },
+    "axis.serial": {"timeout": "s"},
     "axis.limits": {
         "torque": "N*m",
         "rate": "N*m/s",
@@ -43,11 +53,14 @@ KEYS: Mapping[str, Mapping[str, str]] = {
         "over_speed": "rad/s",
         "motor_over_speed": "rad/s",
         "travel": "rad",
+        "travel_margin": "rad",
     },
     "axis.plausibility": {"torque": "N*m", "joint_torque": "N*m", "duration": "s", "slip": "rad"},
     "axis.passivity": {"energy": "J", "buzz": "N*m"},
 }
-SLOWER = {"velocity_cutoff"}  # keys that are looser if they are smaller: a slow filter hides the speed from its limit
+# Keys that are looser if they are smaller: a slow filter hides the speed from its limit, torque begins earlier or ends
+# more abruptly, more compensation stays at rest, and the estimator admits data of little meaning.
+SMALLER = {"velocity_cutoff", "settle_cycles", "fade_in", "travel_margin", "settle", "least_speed"}
 WORN_FACTOR = 2.0  # 1: class "worn" rejects a bound above this multiple of the shipped one
 
 
@@ -63,7 +76,7 @@ class Loose(NamedTuple):
     @property
     def unfit_to_wear(self) -> bool:
         """Return True if class "worn" rejects the value."""
-        if self.key in SLOWER:
+        if self.key in SMALLER:
             return not self.value >= self.shipped / WORN_FACTOR
         return not self.value <= WORN_FACTOR * self.shipped or self.unit == ""
 
@@ -98,7 +111,7 @@ def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped
 
 
 def _is_looser(key: str, value: float, default: float) -> bool:
-    if key in SLOWER:
+    if key in SMALLER:
         return not value >= default * (1.0 - 1e-9)
     return not value <= default * (1.0 + 1e-9)
 

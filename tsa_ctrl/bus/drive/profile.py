@@ -19,7 +19,7 @@ from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.cia402 import OFFSETS
 from tsa_ctrl.bus.canopen.eds import read_eds
-from tsa_ctrl.bus.settings import MOST_SLOTS, DriveSettings, EncoderSettings, Patience, Positive, Word
+from tsa_ctrl.bus.settings import MOST_SLOTS, DriveSettings, EncoderSettings, Patience, Word
 from tsa_ctrl.errors import UsageError
 
 
@@ -77,8 +77,8 @@ class Identity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=
 class Units(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Values of one digit of the objects whose unit is vendor-specific."""
 
-    rated_torque: Positive = 1e-3  # N*m per digit of 0x6076
-    torque: Positive = 1000.0  # digits of 0x6071 and 0x6077 at rated torque
+    rated_torque: Annotated[float, Meta(gt=0.0)] = 1e-3  # N*m per digit of 0x6076
+    torque: Annotated[float, Meta(gt=0.0)] = 1000.0  # digits of 0x6071 and 0x6077 at rated torque
     velocity: VelocityUnit = VelocityUnit.MILLI_RPM  # 0x606C
     max_speed: VelocityUnit = VelocityUnit.RPM  # 0x6080
 
