@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,9 +17,11 @@ from click.testing import CliRunner
 
 from tests.conftest import ROOT
 from tsa_ctrl.cli import VERBS, cli, main, module_of
+from tsa_ctrl.cli import help as help_page
 from tsa_ctrl.cli.drive import find_target
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.safety import supervisor
 from tsa_ctrl.safety.causes import Cause
 
 
@@ -175,9 +178,51 @@ def test_help_of_a_fault_gives_its_remedy() -> None:
             assert cause.remedy in " ".join(result.output.split())
 
 
+@pytest.mark.parametrize(
+    ("topic", "words"),
+    [
+        ("0x8250", ["0x8250 as EMCY error code: RPDO time-out\n", "choose a lower rate", "tsa help held_up"]),
+        ("8250", ["0x8250 as EMCY error code: RPDO time-out\n"]),
+        ("EMCY 0x8130", ["life guard or heartbeat error", "tsa help held_up"]),
+        ("emcy 0x2311", ["over-current at the output (the group; the manual of the drive", "tsa help emergency"]),
+        ("0x06090030", ["0x06090030 as SDO abort code: the node rejected an SDO access: "]),
+        ("abort 06020000", ["Object does not exist"]),
+        ("0x6072", ["0x6072 as object: 0x6072:0 max torque, U16\n", "See also: tsa help "]),
+        ("6072h", ["0x6072 as object: 0x6072:0 max torque"]),
+        ("0x1018:4", ["0x1018:4 serial number"]),
+        ("0x1018", ["0x1018:1 vendor", "0x1018:4 serial number"]),
+        ("0x6872", ["0x6872:0 max torque, U16, of slot 2"]),
+        ("0x1A02:1", ["mapping of TPDO 3"]),
+        ("0x2003:5", ["an object of the manufacturer", "tsa drive dump"]),
+        ("0x0637", ["statusword: state operation_enabled; bits set: 4 voltage enabled, 9 remote, 10 target reached"]),
+        ("statusword 0x1208", ["state fault"]),
+        ("0xFF12", ["device specific; the manual of the drive"]),
+    ],
+)
+def test_help_explains_the_codes_of_a_drive(topic: str, words: list[str]) -> None:
+    result = CliRunner().invoke(cli, ["help", *topic.split()], catch_exceptions=False)
+    assert result.exit_code == 0
+    assert [each for each in words if each not in result.output] == [], result.output
+    assert max(map(len, result.output.splitlines())) < 250
+
+
+@pytest.mark.parametrize("topic", ["0x12345678", "0xC0DE:1", "abort 0x1"])
+def test_help_of_an_unknown_code_gives_the_place_to_look(topic: str) -> None:
+    error = CliRunner().invoke(cli, ["help", *topic.split()]).exception
+    assert isinstance(error, UsageError)
+    assert re.fullmatch(r"help: 0x\w+ is no code .*; look in the manual of the drive .*", str(error))
+
+
+def test_help_gives_the_remedy_of_the_cause_that_latches() -> None:
+    assert help_page.HELD_UP == supervisor._HELD_UP
+
+
 def test_help_lists_every_fault_and_knows_a_misspelt_one() -> None:
     output = CliRunner().invoke(cli, ["help", "faults"]).output
     assert [line.split()[0] for line in output.splitlines()] == [cause.id for cause in Cause]
+    assert isinstance(
+        CliRunner().invoke(cli, ["help", "each"]).exception, UsageError
+    )  # no hexadecimal number with an h
     error = CliRunner().invoke(cli, ["help", "stalepdo"]).exception
     assert isinstance(error, UsageError)
     assert "did you mean 'stale_pdo'?" in str(error)

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import click
 
+from tsa_ctrl.bus.canopen.meanings import Code, code_in, meanings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.outputs import terminal
 from tsa_ctrl.safety.causes import Cause
 
 PACKAGE = Path(__file__).parents[1]
+HELD_UP = {0x8130, 0x8250}  # EMCY codes for which `safety.supervisor` latches the cause "held_up"
 TOPICS = {
     "commands": ("cli/README.md", "every command, the files, first steps at a desk"),
     "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
@@ -49,6 +51,7 @@ def command(ctx: click.Context, topics: tuple[str, ...]) -> None:
             click.echo(f"{name:10s}{TOPICS[name][1]}")
         click.echo("and every command: tsa help diagnose shows tsa diagnose --help")
         click.echo("and every fault by its cause_id, for example tsa help stale_pdo; tsa help faults lists them all")
+        click.echo("and every code of a drive: EMCY, SDO abort code, object or statusword, for example tsa help 0x8250")
         return
     if topic in TOPICS:
         _page((PACKAGE / TOPICS[topic][0]).read_text(encoding="utf-8"))
@@ -59,6 +62,9 @@ def command(ctx: click.Context, topics: tuple[str, ...]) -> None:
         return
     if cause := causes.get(_identifier(topic)):
         click.echo(f"{cause.title} (cause_id {cause.id})\n{textwrap.fill(f'Remedy: {cause.remedy}.', 100)}")
+        return
+    if code := code_in(topic):
+        _explain(code, topic)
         return
     root = ctx.find_root()
     group = root.command
@@ -71,6 +77,26 @@ def command(ctx: click.Context, topics: tuple[str, ...]) -> None:
         raise UsageError(f"help: no page '{topic}'; {advice}")
     with click.Context(verb, info_name=topic, parent=root) as inner:
         click.echo(verb.get_help(inner))
+
+
+def _explain(code: Code, topic: str) -> None:
+    """Print every meaning of a number of a CANopen device, and the pages of the manual that mention it."""
+    lines = meanings(code, topic)
+    texts = {name: (PACKAGE / page).read_text(encoding="utf-8") for name, (page, _) in TOPICS.items()}
+    pages = [name for name, text in texts.items() if str(code).lower() in text.lower() and name != "changes"]
+    if not lines and not pages:
+        raise UsageError(
+            f"help: {code} is no code of CiA 301 or 402 that this program knows; look in the manual of the drive "
+            "(error codes, abort codes, object dictionary), or read it with tsa drive dump"
+        )
+    for line in lines:
+        click.echo(line)
+    if code.value in HELD_UP and code.subindex is None:
+        click.echo(f"Remedy: {Cause.HELD_UP.remedy} (tsa help {Cause.HELD_UP.id})")
+    elif any(" as EMCY " in line for line in lines):
+        click.echo(f"Remedy: {Cause.EMERGENCY.remedy} (tsa help {Cause.EMERGENCY.id})")
+    if pages:
+        click.echo(f"See also: {', '.join(f'tsa help {name}' for name in pages)}")
 
 
 def _identifier(topic: str) -> str:
