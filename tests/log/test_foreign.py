@@ -326,3 +326,39 @@ def test_a_sparse_column_is_omitted_instead_of_the_rows(tmp_path: Path, capsys: 
 
 def test_a_text_column_named_like_a_column_of_the_daemon_is_left_out(tmp_path: Path) -> None:
     assert imported(tmp_path / "x.csv", "t;tau_m;state\n0;1;RUN\n1;2;RUN\n").left == ["state"]
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ","])
+@pytest.mark.parametrize("space", [" ", ""])
+@pytest.mark.parametrize("sign", [".", ","])
+def test_units_inside_the_cells_are_used(separator: str, space: str, sign: str, tmp_path: Path) -> None:
+    quote = '"' if separator == "," else ""
+    rows = [(f"{1e3 * t:.3f}{space}ms", f"{1e3 * x:.6f}{space}mNm", f"{x:.6f}{space}Nm") for t, x in PAIRS]
+    text = "".join(separator.join(f"{quote}{cell}{quote}" for cell in row).replace(".", sign) + "\n" for row in rows)
+    done = imported(tmp_path / "x.csv", separator.join(("time", "motor torque", "tau_j")) + "\n" + text)
+    np.testing.assert_allclose(done.columns["t"], TIME, atol=1e-9)
+    np.testing.assert_allclose(done.columns["tau_m"], TORQUE, atol=1e-6)
+    np.testing.assert_allclose(done.columns["tau_j"], TORQUE, atol=1e-6)
+    assert {column.name: column.unit for column in done.mapped} == {"t": "ms", "tau_m": "mNm", "tau_j": "Nm"}
+
+
+def test_a_unit_that_changes_inside_a_column_is_rejected_with_the_line(tmp_path: Path) -> None:
+    rows = "".join(f"{t:.3f};{x:.4f} {'mNm' if i == 7 else 'Nm'}\n" for i, (t, x) in enumerate(PAIRS))
+    with pytest.raises(
+        UsageError, match=r"column 'tau_m', line 2: '0\.0000 Nm' is not a number in the unit of all rows"
+    ):
+        imported(tmp_path / "x.csv", "t;tau_m\n" + rows)
+
+
+def test_rows_of_a_timetable_with_numbers_texts_and_flags(tmp_path: Path) -> None:
+    """MATLAB's writetimetable writes durations with a unit, and dates with the name of the month."""
+    rows = "".join(
+        f"{t:.3f} sec,{'NaN' if i == 5 else x},hold,{'true' if i % 2 else 'false'},01-Mar-2025 12:00:00\n"
+        for i, (t, x) in enumerate(PAIRS)
+    )
+    done = imported(tmp_path / "x.csv", "Time,tau_m,Mode,Enabled,Started\n" + rows)
+    np.testing.assert_allclose(done.columns["t"], np.delete(TIME, 5), atol=1e-9)
+    np.testing.assert_allclose(done.columns["tau_m"], np.delete(TORQUE, 5), atol=1e-9)
+    assert done.left == ["Mode", "Enabled", "Started"]
+    dated = "".join(f"{1 + i // 20:02d}-Mar-2025 12:00:{i % 20:02d}.5,{x}\n" for i, (_, x) in enumerate(PAIRS[:20]))
+    assert imported(tmp_path / "x.csv", "Time,tau_m\n" + dated).columns["t"][-1] == pytest.approx(19.0)

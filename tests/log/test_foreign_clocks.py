@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -325,3 +326,63 @@ def test_a_message_lists_at_most_twelve_names(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=f"'column 12' and {N - 12} more") as error:
         understood(tmp_path / "x.csv")
     assert len(str(error.value)) < 1500
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fraction", "per_second"),
+    [
+        ("header.stamp.sec", "header.stamp.nanosec", 10**9),
+        ("secs", "nsecs", 10**9),
+        ("tv_sec", "tv_usec", 10**6),
+        ("stamp_s", "stamp_ns", 10**9),
+        ("Time (s)", "Time (ms)", 10**3),
+    ],
+)
+def test_a_time_in_two_columns_is_put_together(seconds: str, fraction: str, per_second: int, tmp_path: Path) -> None:
+    stamps = 1_700_000_000 * per_second + np.rint((T + 0.5) * per_second).astype(np.int64)
+    columns = {seconds: stamps // per_second, fraction: stamps % per_second, "tau_m": MOTOR}
+    rows = "\n".join(",".join(map(str, row)) for row in zip(*(c.tolist() for c in columns.values()), strict=True))
+    (tmp_path / "x.csv").write_text(f"{','.join(columns)}\n{rows}\n")
+    np.savez(tmp_path / "x.npz", **{name.replace(".", "_"): values for name, values in columns.items()})
+    for path in (tmp_path / "x.csv", tmp_path / "x.npz"):
+        done = understood(path)
+        np.testing.assert_allclose(done.columns["t"], T, atol=1e-9)
+        assert done.left == []
+    assert import_log(str(tmp_path / "x.csv"), "--out", str(tmp_path / "a")) == 0
+    again = ("--map", str(tmp_path / "a/x-map.toml"), "--out", str(tmp_path / "b"))
+    assert import_log(str(tmp_path / "x.csv"), *again) == 0
+    assert (tmp_path / "a/x.csv").read_bytes() == (tmp_path / "b/x.csv").read_bytes()
+
+
+def test_two_times_are_not_the_parts_of_one(tmp_path: Path) -> None:
+    rows = "".join(f"{t:.3f},{1e9 * t:.0f},{x}\n" for t, x in zip(T.tolist(), MOTOR.tolist(), strict=True))
+    (tmp_path / "x.csv").write_text("time_s,time_ns,tau_m\n" + rows)
+    with pytest.raises(UsageError, match="t may be 'time_s', 'time_ns'"):
+        understood(tmp_path / "x.csv")
+
+
+def test_a_frame_of_pandas_has_the_names_of_its_columns(tmp_path: Path) -> None:
+    """The format "table" stores blocks of columns, with pickled names that are read without executing them."""
+    for name, kind, index in (
+        ("time [s]", b"float", T),
+        ("time", b"datetime64[ns]", np.rint(1e9 * T).astype(np.int64)),
+    ):
+        table = np.zeros(
+            N, dtype=[("index", index.dtype), ("values_block_0", "<f8", (2,)), ("values_block_1", "S4", (1,))]
+        )
+        table["index"], table["values_block_0"] = index, np.column_stack([MOTOR, JOINT])
+        with importlib.import_module("h5py").File(tmp_path / "x.h5", "w") as file:
+            group = file.create_group("df")
+            group.attrs["pandas_type"] = np.bytes_(b"frame_table")
+            group.attrs["info"] = np.bytes_(pickle.dumps({1: {}, "index": {"index_name": name}}, protocol=0))
+            group["table"] = table
+            for field, value in (
+                ("index", kind),
+                ("values_block_0", pickle.dumps(["motor torque [Nm]", "joint torque [Nm]"], protocol=0)),
+                ("values_block_1", pickle.dumps(["mode"], protocol=0)),
+            ):
+                group["table"].attrs[f"{field}_kind"] = np.bytes_(value)
+        done = understood(tmp_path / "x.h5")
+        np.testing.assert_allclose(done.columns["t"], T, atol=1e-9)
+        np.testing.assert_allclose(done.columns["tau_m"], MOTOR)
+        np.testing.assert_allclose(done.columns["tau_j"], JOINT)

@@ -10,6 +10,7 @@ import difflib
 import importlib
 import itertools
 import json
+import pickletools
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -157,13 +158,15 @@ def hdf5(path: Path) -> Arrays:
     """Read HDF5: each data set by its path.
 
     An attribute `unit` or `units` of a data set or of its group becomes part of the name. Texts next to a matrix, or in
-    its attributes, name its columns.
+    its attributes, name its columns. A frame of pandas has the names of its columns, in both of its formats.
     """
     h5py = library("h5py", path)
 
     def content(node: Any) -> Any:
         """Return the content of a data set, or a mapping of a group or of a data set with lists of texts."""
         lists = {key: found for key, each in node.attrs.items() if (found := _decoded(each)) is not None}
+        if node.attrs.get("pandas_type") == b"frame_table" and "table" in node:
+            return _frame(node["table"], _pickled_texts(node.attrs.get("info")))
         if not isinstance(node, h5py.Dataset):
             unit = _unit_in(node.attrs)
             own = [
@@ -171,15 +174,51 @@ def hdf5(path: Path) -> Arrays:
             ]  # a link may be a loop
             inner = {named(key, node[key]): content(node[key]) for key in own}
             return {**lists, **({"unit": unit} if unit else {}), **inner}
+        if node.attrs.get("kind") == DATES_OF_PANDAS:
+            return node[()].astype("datetime64[ns]")
         found = _decoded(node[()]) if node.ndim == 1 and node.dtype.kind in "SO" else node[()]
         return {"": found, **lists} if node.ndim == 2 and lists else found
 
     def named(key: str, node: Any) -> str:
         unit = _unit_in(node.attrs) if isinstance(node, h5py.Dataset) else ""
+        given = node.attrs.get("name", NONE_OF_PANDAS) if key == "axis1" else NONE_OF_PANDAS  # the index of a frame
+        key = key if given == NONE_OF_PANDAS else given.decode(errors="replace")
         return f"{key} [{unit}]" if unit else key
 
     with h5py.File(path) as file:
         return columns(flat(content(file), joint="/"), path)
+
+
+DATES_OF_PANDAS, NONE_OF_PANDAS = b"datetime64[ns]", b"N."  # attributes; the second is a pickled None
+
+
+def _frame(table: Any, info: list[str]) -> dict[str, NDArray[Any]]:
+    """Return the columns of a frame of pandas in the format "table", whose fields hold one or several columns each.
+
+    Args:
+        table: data set with one field for the index and one for each block of columns.
+        info: texts in the attribute `info` of the frame, with the name of the index after "index_name".
+    """
+    rows, found = table[()], {}
+    for field in rows.dtype.names:
+        values, names = rows[field], _pickled_texts(table.attrs.get(f"{field}_kind")) or [field]
+        if field == "index":
+            names = info[info.index("index_name") + 1 :][:1] if "index_name" in info else names
+        if table.attrs.get(f"{field}_kind") == DATES_OF_PANDAS:
+            values = values.astype("datetime64[ns]")
+        for name, column in zip(names, values.reshape(len(rows), -1).T, strict=False):
+            found[name] = column
+    return found
+
+
+def _pickled_texts(data: Any) -> list[str]:
+    """Return the texts of a pickled value in order, without executing it, or [] if it is not pickled."""
+    if not isinstance(data, bytes):
+        return []
+    try:
+        return [value for _, value, _ in pickletools.genops(data) if isinstance(value, str)]
+    except ValueError:
+        return []
 
 
 def _decoded(texts: Any) -> list[str] | None:

@@ -16,6 +16,8 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.log.foreign.units import is_known
+
 EMPTY = frozenset({"", "nan", "-nan", "na", "n/a", "null", "none", "-"})
 OVERRANGE = 9e36  # SCPI instruments write 9.9e37 for infinity and 9.91e37 for no number
 _DAY = 86400.0  # s
@@ -23,6 +25,7 @@ DATES = "2025-01-31 14:25:01.5, 31.01.2025 14:25:01.5 or 14:25:01.5"  # for mess
 _SPACES = " '’\u00a0\u2009\u202f"  # group thousands in addition to "." and ","
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
 _NUMBER = re.compile(rf"[+-]?(?:\d+(?:[.,{_SPACES}]\d{{3}})*(?:[.,]\d*)?|[.,]\d+){_EXPONENT}$")
+_MEASURED = re.compile(rf"({_NUMBER.pattern[:-1]}) ?([^\W\d_]\S*(?: \S+)?|[°%‰]\S*)$")
 _GROUPED = {
     sign: re.compile(rf"[+-]?\d{{1,3}}([{other}{_SPACES}])\d{{3}}(?:\1\d{{3}})*(?:[{sign}]\d*)?{_EXPONENT}$")
     for sign, other in ((".", ","), (",", "."))
@@ -33,6 +36,8 @@ _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d\d(?:[.,:]\d+)?)(?: ?([AP])M)?
 _DAYS = re.compile(r"(\d+) days?,? (\d+:.*)$")  # a duration, as pandas and Python write it
 _SLASHES = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4}),? +(\d.*)$")
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}),? +(\d{1,2}:\d\d(?::\d.*)?)$")
+_NAMED = re.compile(r"(\d{1,2})[- ]([A-Za-z]{3})[a-z]*\.?[- ](\d{4}),? +(\d{1,2}:\d\d(?::\d.*)?)$")  # of MATLAB
+_MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _ISO = re.compile(r"\d{4}([-/])\d\d\1\d\d[T ]\d\d:\d\d")
 
 
@@ -66,13 +71,20 @@ def is_date(cell: str) -> bool:
         text = found[2]
     clock = _CLOCK.match(text)
     slashes = _SLASHES.match(text)
-    known = _ISO.match(text) or _GERMAN.match(text) or (slashes and _CLOCK.match(slashes[4]))
+    known = _ISO.match(text) or _GERMAN.match(text) or _NAMED.match(text) or (slashes and _CLOCK.match(slashes[4]))
     return bool(known or (clock and (clock[1] or not clock[3].isdigit())))
 
 
+def measured(cell: str) -> tuple[str, str]:
+    """Return the number of a cell and its unit, such as "3,2" and "Nm", or the whole content and ""."""
+    text = bare(cell)
+    found = None if _NUMBER.match(text) else _MEASURED.match(text)
+    return (found[1], found[2]) if found and is_known(found[2]) else (text, "")
+
+
 def is_number(cell: str) -> bool:
-    """Return True if a cell is a number, a date or a time of day."""
-    return bool(_NUMBER.match(bare(cell))) or is_date(cell)
+    """Return True if a cell is a number, with or without a unit, a date or a time of day."""
+    return bool(_NUMBER.match(measured(cell)[0])) or is_date(cell)
 
 
 def is_text(cell: str) -> bool:
@@ -86,7 +98,7 @@ def decimal_of(cells: Iterable[str]) -> str:
     A group of thousands has three digits and does not follow a zero.
     """
     for cell in cells:
-        text = bare(cell)
+        text, _ = measured(cell)
         signs = [sign for sign in text if sign in ".,"]
         if not signs or not _NUMBER.match(text) or _UNCLEAR.match(text):
             continue
@@ -201,6 +213,8 @@ def _stamp(text: str) -> float:
         if minute > 59 or second >= 61.0:
             raise ValueError(text)
         return 3600.0 * hour + 60.0 * minute + second
+    if (found := _NAMED.match(text)) and found[2].lower() in _MONTHS:
+        text = f"{found[1]}.{_MONTHS.index(found[2].lower()) + 1}.{found[3]} {found[4]}"
     if found := _GERMAN.match(text):
         day, month, year = (int(part) for part in found.groups()[:3])
         clock = found[4] if found[4].count(":") == 2 else f"{found[4]}:00"

@@ -149,7 +149,7 @@ class Name:
     source: str
 
     @cached_property
-    def _split(self) -> tuple[str, str | None]:
+    def split(self) -> tuple[str, str | None]:
         """Return the name without its unit, and the unit or None."""
         source = re.sub(r" \(\d+\)(?=$| \[)", "", self.source)  # the number of a repeated name
         for content, (start, end) in reversed(brackets_in(source)):
@@ -178,13 +178,13 @@ class Name:
     @property
     def bare(self) -> str:
         """Return the name without its unit."""
-        return self._split[0]
+        return self.split[0]
 
     @property
     def unit(self) -> str | None:
         """Return the unit that the name states, or the canonical unit of a canonical name, or None."""
-        if self._split[1] is not None:
-            return self._split[1]
+        if self.split[1] is not None:
+            return self.split[1]
         return None if self.canonical is None else COLUMNS[self.canonical].unit
 
     @cached_property
@@ -195,7 +195,7 @@ class Name:
     @cached_property
     def columns(self) -> frozenset[str]:
         """Return the canonical columns that the name fits."""
-        return _fitting(self.bare, self._split[1])
+        return _fitting(self.bare, self.split[1])
 
     @cached_property
     def kinds(self) -> frozenset[str]:
@@ -220,7 +220,7 @@ class Name:
             return column in self.columns
         if self.kinds & {EXCLUDED, DESIRED, COMMANDED}:
             return False
-        unit, si = self._split[1], COLUMNS[column].unit
+        unit, si = self.split[1], COLUMNS[column].unit
         if unit is not None and is_known(unit) and needs_scale(unit, si):
             return False
         own = {TIME} if column == "t" else {TORQUE}

@@ -22,7 +22,18 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign.binary import ARRAYS, format_of, library, read_with
-from tsa_ctrl.log.foreign.cells import Values, bare, decimal_of, is_date, is_number, is_text, numbers, overrange, times
+from tsa_ctrl.log.foreign.cells import (
+    Values,
+    bare,
+    decimal_of,
+    is_date,
+    is_number,
+    is_text,
+    measured,
+    numbers,
+    overrange,
+    times,
+)
 from tsa_ctrl.log.foreign.clocks import TIME
 from tsa_ctrl.log.foreign.names import Name, listed
 from tsa_ctrl.log.foreign.units import DATE, are_units
@@ -116,6 +127,29 @@ class ForeignTable:
         arrays = {**self.arrays, name: np.arange(self.rows) / rate}
         return replace(self, names=(*self.names, name), arrays=arrays, rate=rate)
 
+    def with_stamps(self) -> ForeignTable:
+        """Return the table with one time column in s for each pair of columns of seconds and fractions of a second.
+
+        Source: `builtin_interfaces/Time` of ROS 2 (sec, nanosec), `time` of ROS 1 (secs, nsecs), `timeval` (tv_usec).
+        """
+        table, parts = self, {name: _time_part(name) for name in self.names}
+        for fine, (place, scale) in parts.items():
+            whole = next((name for name, part in parts.items() if part == (place, 1.0)), None)
+            if whole is None or not 0.0 < scale < 1.0:
+                continue
+            try:
+                seconds, fraction = self.numbers(whole), self.numbers(fine)
+            except UsageError:
+                continue
+            good = np.isfinite(seconds) & np.isfinite(fraction)
+            if not good.any() or np.any(seconds[good] % 1.0) or np.any((fraction < 0.0) | (fraction * scale >= 1.0)):
+                continue  # two times instead of the parts of one
+            name = f"time of {whole} and {fine} [s]"
+            names = tuple(each for each in table.names if each not in (whole, fine))
+            arrays = {**table.arrays, name: seconds - seconds[good][0] + scale * fraction}
+            table = replace(table, names=(name, *names), arrays=arrays)
+        return table
+
     def numbers(self, name: str) -> NDArray[np.float64]:
         """Return one column as doubles, with nan for empty cells and markers.
 
@@ -153,6 +187,14 @@ class ForeignTable:
     def _cells(self, name: str, dates: bool) -> Values:
         cells = self.cells[name]
         found = times(cells) if dates else numbers(cells, self.shape.decimal, self.stated)
+        if found.wrong is not None and measured(cells[found.wrong])[1]:
+            units = [measured(cell)[1] for cell in cells]
+            usual = Counter(units).most_common(1)[0][0]
+            row = next((i for i, unit in enumerate(units) if unit != usual and is_number(cells[i])), found.wrong)
+            raise UsageError(
+                f"{self.path}: column '{name}', line {self.first + row}: '{bare(cells[row])}' is not a number in the "
+                "unit of all rows and of the name; export the column in one unit"
+            )
         if found.wrong is not None:
             remedy = "convert it" if dates else "correct it, or give [table] decimal in a mapping file"
             raise UsageError(f"{self.path}: column '{name}', line {self.first + found.wrong}: {found.reason}; {remedy}")
@@ -167,6 +209,21 @@ class ForeignTable:
         if name in self.arrays:
             return bool(self.arrays[name].dtype.kind in "Mm")
         return is_date(next((cell for cell in self.cells[name] if is_number(cell)), ""))
+
+
+_SECONDS = dict.fromkeys(["s", "sec", "secs", "second", "seconds"], 1.0)
+_FRACTIONS = {
+    f"{start}{end}": scale
+    for scale, starts in ((1e-3, "m milli"), (1e-6, "u micro"), (1e-9, "n nano"))
+    for start in starts.split()
+    for end in _SECONDS
+} | {"nanos": 1e-9, "micros": 1e-6, "millis": 1e-3}
+
+
+def _time_part(name: str) -> tuple[str, float]:
+    """Return the name in front of its last word, and s per unit if this word is a part of a time, otherwise 0."""
+    place, word = re.fullmatch(r"(.*?)([^\W\d_]*)\W*", name.lower()).groups()  # type: ignore[union-attr]
+    return place.rstrip(" ([{"), (_SECONDS | _FRACTIONS).get(word, 0.0)
 
 
 def row_clock(rate: float) -> str:
@@ -187,7 +244,9 @@ def read_foreign(path: Path, given: Mapping[str, Any] | None = None) -> ForeignT
     suffix = format_of(path)
     if suffix in ARRAYS:
         arrays = read_with(ARRAYS[suffix], path)
-        return ForeignTable(path, NO_TEXT, tuple(arrays.columns), {}, 1, 0, arrays.columns, arrays.dropped)
+        return ForeignTable(
+            path, NO_TEXT, tuple(arrays.columns), {}, 1, 0, arrays.columns, arrays.dropped
+        ).with_stamps()
     note, given = "", given or {}
     if suffix in TEXTS:
         (text, note), encoding = read_with(TEXTS[suffix], path), "utf-8"
@@ -238,8 +297,20 @@ def read_foreign(path: Path, given: Mapping[str, Any] | None = None) -> ForeignT
         raise UsageError(f"{path}: no row of {len(names)} fields below line {told.header}; is that the header line?")
     footer = _footer(body)
     del body[len(body) - footer :]
-    cells = {name: [row[i] for row in body] for i, name in enumerate(names)}
-    return ForeignTable(path, told, names, cells, first, ignored + footer, note=note, stated="decimal" in given)
+    cells = dict(_without_unit(name, [row[i] for row in body]) for i, name in enumerate(names))
+    return ForeignTable(
+        path, told, tuple(cells), cells, first, ignored + footer, note=note, stated="decimal" in given
+    ).with_stamps()
+
+
+def _without_unit(name: str, cells: list[str]) -> tuple[str, list[str]]:
+    """Return a name with the unit that all numbers of its cells have, and the cells without it, or both unchanged."""
+    parts = [measured(cell) for cell in cells]
+    units = {unit for cell, (_, unit) in zip(cells, parts, strict=True) if is_number(cell)}
+    unit = next(iter(units), "")
+    if len(units) != 1 or not unit or Name(name).split[1] not in (None, unit):
+        return name, cells
+    return name if Name(name).split[1] else f"{name} [{unit}]", [number for number, _ in parts]
 
 
 def _has_row_per_signal(rows: Sequence[Sequence[str]]) -> bool:
@@ -337,6 +408,9 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
             width, count = max(widths.items(), key=lambda item: (item[1], item[0]))
             cells = [cell for row in fields if len(row) == width for cell in row if cell.strip()]
             share = sum(map(is_number, cells)) / max(len(cells), 1)
+            joined = sum("," in cell or ";" in cell for cell in cells if not is_number(cell))
+            if separator == " " and best is not None and joined > count / 2:
+                continue  # a space inside fields, such as "0.1 sec,0.5"
             score = count * (0.01 + share)  # a decimal comma also divides lines into equal fields
             if best is None or score > 1.1 * best[0]:
                 best = (score, width, separator)
