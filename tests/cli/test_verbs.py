@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.conftest import ROOT
-from tsa_ctrl.cli import VERBS, cli, main, module_of
+from tsa_ctrl.cli import OTHER_NAMES, VERBS, cli, main, module_of
 from tsa_ctrl.cli import help as help_page
 from tsa_ctrl.cli.drive import find_target
 from tsa_ctrl.cli.options import Finite
@@ -82,6 +82,8 @@ def test_a_number_that_is_none_is_one_line_and_code_2() -> None:
 def test_unknown_verb_is_one_line_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
     assert failed("diagnoze").startswith("tsa: No such command 'diagnoze'")
     assert "did you mean 'status'?" in failed("stat")
+    assert "did you mean 'diagnose FOLDER'?" in failed("fleet", "folder")
+    assert all(name.split()[0] in VERBS or name == "--version" for name in OTHER_NAMES.values())
     monkeypatch.setenv("SHELL", "/bin/tcsh")
     assert "no completion for shell 'tcsh'" in failed("--install-completion")
 

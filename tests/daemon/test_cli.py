@@ -63,8 +63,10 @@ def test_set_says_from_where_to_where(serving: Serving) -> None:
     """The command prints the old and the new value. The loop gets one command."""
     with loop_taking(serving) as taken:
         result = call(serving, "set", "compensation", "0.5")
+        again = call(serving, "set", "knee.compensation=0.5")
     assert result.output == "knee.compensation: 0.95 -> 0.5\n"
-    assert taken == [Command(0, 0, 0.5)]
+    assert again.output.endswith(" -> 0.5\n")
+    assert taken == [Command(0, 0, 0.5), Command(0, 0, 0.5)]
 
 
 REJECTED = [  # arguments after the value 0.5, and the reason

@@ -69,9 +69,13 @@ def test_info_and_convert_for_people(log: str, capsys: pytest.CaptureFixture[str
 MISTAKES = [
     (("info", "nope.csv"), "nope.csv: no such file"),
     (("info", "."), "is a folder"),
-    (("info", "x.xlsx"), "unknown kind of log '.xlsx'"),
+    (
+        ("info", "x.xlsx"),
+        "unknown kind of log '.xlsx'; allowed are .csv, .csv.gz, .parquet, .mcap; tsa log import reads",
+    ),
+    (("convert", "units.csv", "--out", "y.csv"), "units.csv: no column has only numbers; tsa log import reads"),
     (("info", "empty.csv"), "is empty"),
-    (("info", "notime.csv"), "column t is missing (found: tau_m)"),
+    (("info", "notime.csv"), "column t is missing (found: tau_m); add it, or run tsa log import"),
     (("info", "back.csv"), "column t, row 3 (line 4): time 0.5 s does not increase"),
     (("info", "still.csv"), "column t: all 3 times are 5 s"),
     (("trend", "still", "--model", str(MODEL)), "column t: all 3 times are 5 s"),
@@ -85,6 +89,7 @@ MISTAKES = [
 def test_a_mistake_is_one_line_and_code_2(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     Path("x.xlsx").write_text("x")
     Path("empty.csv").touch()
+    Path("units.csv").write_text("time;torque\n0 s;1 Nm\n1 s;1 Nm\n")
     Path("notime.csv").write_text("tau_m\n1\n2\n")
     Path("back.csv").write_text("t,tau_m\n0,1\n1,1\n0.5,1\n")
     Path("still").mkdir()

@@ -137,6 +137,7 @@ def test_what_is_no_report_is_one_line(tmp_path: Path) -> None:
         assert "not a field report" in str(error) or damaged in changed
     assert isinstance(tsa("simulate-loop", tmp_path / "none.zip").exception, UsageError)
     assert isinstance(tsa("bundle", tmp_path / "none.mcap", "--out", tmp_path / "o.zip").exception, UsageError)
+    assert "is a folder; give" in str(tsa("bundle", tmp_path, "--out", tmp_path / "o.zip").exception)
 
 
 def test_the_files_of_a_configuration_are_those_that_it_names(tmp_path: Path) -> None:

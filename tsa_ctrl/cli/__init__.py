@@ -51,6 +51,24 @@ VERBS: dict[str, str] = {
 }
 
 
+# Names that other programs or earlier versions use, and the commands that do this here
+OTHER_NAMES = {
+    "fleet": "diagnose FOLDER",
+    "batch": "diagnose FOLDER",
+    "trend": "log trend",
+    "health": "log trend",
+    "import": "log import",
+    "convert": "log convert",
+    "info": "log info",
+    "check": "run --check",
+    "probe": "drive probe",
+    "dump": "drive dump",
+    "fetch": "data fetch",
+    "report": "bundle",
+    "start": "run",
+    "get": "status",
+    "version": "--version",
+}
 RUNNING = ("status", "set", "stop", "dashboard", "live")  # commands to a running daemon, which share a module
 
 
@@ -78,8 +96,12 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Suggest a similar command, because click searches only the loaded commands, and none is loaded."""
         near = difflib.get_close_matches(args[0], VERBS, n=1)
-        if args[0] not in VERBS and near and not ctx.resilient_parsing:
-            ctx.fail(f"No such command '{args[0]}'; did you mean '{near[0]}'?")
+        if (
+            args[0] not in VERBS
+            and (said := OTHER_NAMES.get(args[0]) or (near and near[0]))
+            and not ctx.resilient_parsing
+        ):
+            ctx.fail(f"No such command '{args[0]}'; did you mean '{said}'?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -49,6 +49,8 @@ def command(log: Path, out: Path, minutes: float, dumps: tuple[Path, ...], no_do
     from tsa_ctrl.log.reader import LogFile
 
     outputs.refuse_inputs(out, [log, *dumps])
+    if log.is_dir():
+        raise UsageError(f"{log}: is a folder; give the path of an MCAP file in it")
     if not log.is_file():
         raise UsageError(f"{log}: no such log; give the MCAP file of a run")
     for dump in dumps:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
+import re
 import sys
 import time
 from pathlib import Path
@@ -63,8 +64,18 @@ def status_command(as_json: bool, once: bool, follow: bool, path: str) -> None:
             watch(client)
 
 
+class _Assigning(click.Command):
+    """A command that also accepts its NAME and VALUE as one argument NAME=VALUE."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args and (pair := re.fullmatch(r"([A-Za-z][\w.-]*)=([^,]+)", args[0])):
+            args = [*pair.groups(), *args[1:]]
+        return super().parse_args(ctx, args)
+
+
 @click.command(
     "set",
+    cls=_Assigning,
     context_settings={"ignore_unknown_options": True},  # a negative VALUE is not an option
     epilog="Example: tsa set knee.compensation 0.9",
 )

@@ -190,6 +190,10 @@ def _of_axis(contents: LogFile, axis: str, present: NDArray[np.bool_], rows: int
 
 def _of_table(table: Table) -> _Source:
     names = list(table.columns)
+    if not names:
+        raise UsageError(
+            f"{table.label}: no column has only numbers; tsa log import reads the tables of other programs"
+        )
     text = ", ".join(table.left_out)
     notes = (f"columns without numbers are left out: {text}",) if text else ()
 

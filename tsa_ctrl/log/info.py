@@ -119,7 +119,7 @@ def inspect(path: str | Path) -> LogInfo:
         table = read_table(path)
         if "t" not in table.columns:
             names = ", ".join(table.columns) or "none"
-            raise UsageError(f"{table.label}: column t is missing (found: {names}); add it")
+            raise UsageError(f"{table.label}: column t is missing (found: {names}); add it, or run tsa log import")
         columns = _Columns(list(table.columns), {})
         columns.add(table.columns.values())
         return LogInfo(str(path), sha256, [_axis_info(table, columns, 0.0, empty=True)], problems=_repairs(table))

@@ -66,7 +66,10 @@ def kind_of(path: Path) -> str:
     for ending in ENDINGS:
         if name.endswith(ending):
             return ending
-    raise UsageError(f"{path}: unknown kind of log '{path.suffix}'; allowed are {', '.join(ENDINGS)}")
+    raise UsageError(
+        f"{path}: unknown kind of log '{path.suffix}'; allowed are {', '.join(ENDINGS)}; tsa log import reads the "
+        "tables of other programs"
+    )
 
 
 def split_axis(path: str | Path) -> tuple[Path, str | None]:
