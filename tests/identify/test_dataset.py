@@ -417,6 +417,7 @@ class TestDaemonLog:
     ("table", "said"),
     [
         (columns(t=None), "column t is missing (found: tau_m, tau_j, omega_j); add it"),
+        ({"time": T, "motor torque": T}, "(found: time, motor torque); add it; tsa log import reads the tables"),
         (columns(tau_m=None, Tau_M=T), "is 'Tau_M' meant? rename it"),
         (columns(omega_j=None), "column omega_j or q_j is missing"),
         (with_value("tau_m", 16, np.nan), "column tau_m, row 17: found no number"),

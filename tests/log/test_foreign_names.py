@@ -115,6 +115,11 @@ def test_a_row_number_is_not_proposed_as_time() -> None:
     assert mapping.propose(table(["sample"], sample=["0", "1", "2"]), "t", set()) == ""
 
 
+def test_a_time_stamp_is_not_proposed_as_torque() -> None:
+    stamps = [f"{1_700_000_000_000_000_000 + i}" for i in (0, 2_000_000, 4_500_000)]
+    assert mapping.propose(table(["stamp", "effort0"], stamp=stamps), "tau_m", set()) == "tau_m=effort0|N*m"
+
+
 def test_a_name_of_two_quantities_is_a_question_without_a_proposal() -> None:
     found = mapping.identify(table(["T_mot"]), {})
     assert found.columns == {}

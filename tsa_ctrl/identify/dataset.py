@@ -578,6 +578,8 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
     near = difflib.get_close_matches(column.split(" or ")[0].lower(), [name.lower() for name in found], n=1, cutoff=0.6)
     original = next((name for name in found if near and name.lower() == near[0]), "")
     advice = f"is '{original}' meant? rename it" if original and original not in COLUMNS else "add it"
+    if not set(found) & set(COLUMNS):
+        advice += "; tsa log import reads the tables of other programs"
     listed = ", ".join(found[:12]) + (", ..." if len(found) > 12 else "")
     return f"{label}: column {column} is missing (found: {listed or 'none'}); {advice}"
 

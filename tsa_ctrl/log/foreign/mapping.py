@@ -241,7 +241,10 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
         except UsageError:
             continue
         finite = values[np.isfinite(values)]
-        possible = _is_clock(finite, stated=name.unit is not None) if missing == "t" else not _counts_rows(finite)
+        if missing == "t":
+            possible = _is_clock(finite, stated=name.unit is not None)
+        else:  # a row number, or a time since 1970, is no torque
+            possible = not _counts_rows(finite) and not np.any(np.abs(finite) > EPOCH[0])
         if finite.size and possible:
             return f"{missing}={source}|{unit}"
     return ""
