@@ -172,8 +172,8 @@ def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
         ("slack value", "write key=value"),
         ("slack name=torn_tendon", "each key once"),
         ("slack at=inf", "at=inf; allowed is a finite number"),
-        ("slack at=-1", "at and duration are 0 s or more"),
-        ("late_tpdo node=motor", "node is drive, encoder or torque_sensor"),
+        ("slack at=-1", "at: expected a number of at least 0 s, found -1 s; raise it"),
+        ("late_tpdo node=motor", "allowed are drive, encoder, torque_sensor"),
         ("emcy value=1.5", "allowed are whole numbers from 0 to 65535"),
     ],
 )

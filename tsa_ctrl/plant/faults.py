@@ -637,9 +637,7 @@ def parse_fault(text: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> tuple
         fault = msgspec.convert(values, FaultSettings)
     except msgspec.ValidationError as error:
         explained = settings.explain(str(error), FaultSettings, values)
-        raise UsageError(
-            f"fault {name}: {explained}; node is drive, encoder or torque_sensor, at and duration are 0 s or more"
-        ) from None
+        raise UsageError(f"fault {name}: {explained}") from None
     check_fault(fault, "control", others)
     return axis, fault
 
