@@ -32,7 +32,7 @@ ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
     "safety": "compensation_backoff debounce lost_commands passivity plausibility polarity_check residuals supervisor",
     "bus/live": "axis image read_back rig",
     "bus/canopen": "cia301 cia402 pdo",
-    "daemon": "loop telemetry torque_error monitoring",
+    "daemon": "loop telemetry monitoring",
     "ipc": "mailbox",
     "log": "ring",
     "system": "shared_memory histogram",

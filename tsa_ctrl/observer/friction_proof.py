@@ -43,9 +43,10 @@ class SensorEvidence:
     2. With the elongation itself, s = c_M tau_M + c_J tau_J + constant. Regression on tau_M eliminates c_M, and thereby
        friction and stiffness of the file. The rest of s must follow the rest of the sensor. This requires that tau_M
        and tau_J do not change in proportion, as they do until the tendons reverse.
-    3. With the motor torque, while the tendons slide in one direction: tau_J = a tau_M - b, whatever the friction. If
-       the set-point is constant, a correct sensor shows the change of the torque when the proof fades. A sensor that
-       fails during a motion contradicts the motor within about `BRIEFLY`, before the other comparisons forget it.
+    3. With the motor torque, while the tendons slide in one direction: tau_J = a tau_M - b, whatever the friction at a
+       constant wrap angle. The change of b with the wrap angle is that of the model. If the set-point is constant, a
+       correct sensor shows the change of the torque when the proof fades. A sensor that fails during a motion
+       contradicts the motor within about `BRIEFLY`, before the other comparisons forget it.
 
     Attributes: `slopes`: a of a joint that moves forward and backward, 1.
     """
@@ -102,6 +103,7 @@ class SensorEvidence:
         confirmed: bool,
         omega_j: float,
         sliding: int = 0,
+        friction: float = 0.0,
     ) -> None:
         """Process a cycle.
 
@@ -112,6 +114,7 @@ class SensorEvidence:
             confirmed: True unless the elongation contradicts the motor torque, for example by an unknown effect. It is
                 then no evidence against the sensor.
             sliding: direction in which the tendons slide, 1 or -1; 0 while unknown.
+            friction: friction torque of the model at the present wrap angle, N*m at the motor. Only its changes count.
         """
         self._wait -= 1
         if self._wait > 0:
@@ -134,7 +137,7 @@ class SensorEvidence:
         sm += forget * (ds * dm - sm)
         ym += forget * (dy * dm - ym)
         self._products = ss, ee, yy, mm, se, sy, sm, ym
-        motor = self.slopes[sliding < 0] * tau_m
+        motor = self.slopes[sliding < 0] * (tau_m - sliding * friction)
         if sliding != self._sliding:
             self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, motor, 0.0, 0.0, 0.0)
         follows = self._follows_motor(sensor, motor) if sliding != 0 else 0
@@ -288,7 +291,7 @@ class FrictionProof:
         """Compare the changes of both measurements, if the axis has both; see `SensorEvidence.update`."""
         if self._both and sensor == sensor and estimate == estimate:
             sliding = self._first.sliding if self._first is not None else 0
-            self.evidence.update(sensor, estimate, tau_m, q_m, q_j, confirmed, omega_j, sliding)
+            self.evidence.update(sensor, estimate, tau_m, q_m, q_j, confirmed, omega_j, sliding, self.modelled)
 
     def _combine(self) -> None:
         used = self._first
