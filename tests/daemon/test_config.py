@@ -87,7 +87,7 @@ MISTAKES = [
     (r"^node_id = 64", "node_id = 127", r"node_id 127 is also used by \[bus\] host_node_id"),
     (r"^torque = 2.0", "torque = 3.5", "limits.torque 3.5 N.m is above the drive's own clamp of 3"),
     (r"^torque = 2.0", "torque = nan", "limits.torque"),
-    (r"^torque = 2.0", "torque_share = 12.0", r"limits.torque_share: .*<= 10.0, found 12"),
+    (r"^torque = 2.0", "torque_share = 12.0", r"limits.torque_share: .* at most 10, found 12"),
     (r"^torque = 2.0", "torque_share = 5.0", r"limits.torque_share 5, .* is above the drive's own clamp of 3"),
     (r'^model = "actuator.toml"', 'model = "none.toml"', "none.toml: no such file"),
     (r'^kind = "sine"', 'kind = "file"', 'kind "file" with file ""'),
