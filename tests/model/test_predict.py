@@ -118,14 +118,16 @@ class TestComposition:
         np.testing.assert_array_equal(forward, backward)
         np.testing.assert_allclose(forward, SLOPE * (1.1 * T - 0.05) - LOSS, rtol=1e-12)
 
-    def test_a_prediction_loads_no_compiler(self) -> None:
-        """The startup of commands that predict stays fast. Only effects with memory load compiled loops."""
+    def test_no_prediction_loads_the_compiler(self) -> None:
+        """The startup of commands that predict stays fast, even for effects with memory."""
         script = (
             "import sys, numpy as np\n"
             "from tests.model.actuator import ACTUATOR, signals\n"
             "from tsa_ctrl.model.predict import predict\n"
             "from tsa_ctrl.model.feedforward import Feedforward\n"
-            "predict(ACTUATOR, signals(np.arange(2.0), np.ones(2), q_j=np.arange(2.0)))\n"
+            "memory = {'presliding_hysteresis': {'presliding_distance': 0.1}, 'backlash': {'gap': 0.1}}\n"
+            "for model in (ACTUATOR, ACTUATOR.with_effects(memory)):\n"
+            "    predict(model, signals(np.arange(2.0), np.ones(2), q_j=np.arange(2.0)))\n"
             "sys.exit('numba' in sys.modules or 'scipy' in sys.modules)\n"
         )
         assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl
 
 
 @dataclass(frozen=True)
@@ -54,25 +55,20 @@ class Memory:
     kind: str
     constants: tuple[float, ...]
 
-    @property
-    def _rings(self) -> bool:
-        return self.kind == "ring"
-
     def over(self, x: Array, t: Array) -> Array:
         """Return its value along a log, (n,), for x and t (s), (n,) each; the time steps may differ."""
+        if self.kind == "dahl":
+            return dahl(MonotonicSegments.of(x), self.constants[0], 0.0)
         from tsa_ctrl.model.effects import kernels  # imported only if needed, because it imports numba, which is slow
 
-        x = kernels.plain(x)
-        if self.kind == "dahl":
-            return np.asarray(kernels.dahl(x, self.constants[0], 0.0))
-        first, second = (*self.constants, 0.0)[:2]
-        return np.asarray(kernels.linear(x, kernels.plain(t), self._rings, first, second))
+        x, t = np.require(x, requirements=["C", "W"]), np.require(t, requirements=["C", "W"])
+        return np.asarray(getattr(kernels, self.kind)(x, t, *self.constants))
 
     def live(self) -> Live:
         """Return the same function for cycle-by-cycle evaluation."""
-        if self.kind == "dahl":
-            return Dahl(*self.constants)
-        return Linear(self._rings, *self.constants)
+        if self.kind == "lag":
+            return Lag(*self.constants)
+        return Ring(*self.constants) if self.kind == "ring" else Dahl(*self.constants)
 
     def level(self, x: Array, part: float) -> Array:
         """Return a possible value, in the shape of x, for any past within the present range of x.
@@ -82,7 +78,7 @@ class Memory:
         if self.kind == "dahl":
             return np.full(np.shape(x), part)
         low, high = float(np.min(x)), float(np.max(x))
-        reach = 0.5 * (high - low) * (2.0 if self._rings else 1.0)  # a step overshoots to twice itself
+        reach = 0.5 * (high - low) * (2.0 if self.kind == "ring" else 1.0)  # a step overshoots to twice itself
         return np.full(np.shape(x), 0.5 * (low + high) + part * reach)
 
     def passes(self, level: Array, change: Array, elapsed: float) -> Array:
@@ -138,54 +134,102 @@ class Live:
         self._state = list(state)
 
 
-class Linear(Live):
-    """Evaluate `lag` or `ring` cycle by cycle; the state is y, its derivative, and the last x.
+class _Linear(Live):
+    """Evaluate a memory whose value within a step is free + direct x; before the first `keep`, the value is x."""
 
-    The value within a step is free + direct x. Before the first `keep`, the value is x.
-    """
+    __slots__ = ("_direct", "_elapsed", "_free")
 
-    __slots__ = ("_constants", "_direct", "_elapsed", "_free", "_matrix", "_transition")
-
-    def __init__(self, rings: bool, first: float, second: float = 0.0) -> None:
-        """Prepare the function; arguments as in `kernels.transition`."""
-        from tsa_ctrl.model.effects import kernels  # slow to import; here, because no cycle of a loop may wait for it
-
+    def __init__(self) -> None:
         super().__init__()
-        self._transition = kernels.transition
-        self._constants = rings, first, second
         self._elapsed = math.nan
-        self._matrix = (0.0,) * 8
         self._free, self._direct = 0.0, 1.0
+
+    def value(self, x: float) -> float:
+        self.asked = x
+        return self._free + self._direct * x
+
+    def set(self, state: Sequence[float]) -> None:
+        super().set(state)
+        self._free, self._direct = 0.0, 1.0
+
+
+class Lag(_Linear):
+    """Evaluate `lag` cycle by cycle; the state is y and the last x."""
+
+    __slots__ = ("_constant", "_decay", "_mean")
+
+    def __init__(self, constant: float) -> None:
+        """Prepare the lag; `constant`: T in s."""
+        super().__init__()
+        self._constant = constant
+        self._decay = self._mean = 0.0
 
     def begin(self, elapsed: float) -> None:
         if not self._state:
             return
         if elapsed != self._elapsed:
-            self._elapsed, self._matrix = elapsed, self._transition(*self._constants, elapsed)
-        y, rate, x = self._state
-        m = self._matrix
-        self._free, self._direct = m[0] * y + m[1] * rate + m[2] * x, m[3]
+            steps = elapsed / self._constant
+            self._elapsed, self._decay = elapsed, math.exp(-steps)
+            self._mean = -math.expm1(-steps) / steps  # mean of exp(-t/T) over the step
+        y, x = self._state
+        self._direct = 1.0 - self._mean
+        self._free = self._decay * y + (self._mean - self._decay) * x
 
-    def value(self, x: float) -> float:
-        self.asked = x
-        return self._free + self._direct * x
+    def keep(self, x: float) -> None:
+        y = self._free + self._direct * x
+        if self._state:
+            self._state[0], self._state[1] = y, x
+        else:
+            self._state = [y, x]
+
+    def resting(self, x: float) -> list[float]:
+        return [x, x]
+
+
+class Ring(_Linear):
+    """Evaluate `ring` cycle by cycle; the state is y, its derivative, and the last x."""
+
+    __slots__ = ("_damping", "_motion", "_omega", "_turn")
+
+    def __init__(self, frequency: float, damping: float) -> None:
+        """Prepare the oscillator; `frequency` in Hz, `damping` in 1."""
+        super().__init__()
+        self._omega, self._damping = 2.0 * math.pi * frequency, damping
+        self._turn = self._omega * math.sqrt(max(1.0 - damping * damping, 0.0))
+        self._motion = (0.0, 0.0, 0.0, 0.0)
+
+    def begin(self, elapsed: float) -> None:
+        if not self._state:
+            return
+        if elapsed != self._elapsed:
+            self._elapsed = elapsed
+            decay = math.exp(-self._damping * self._omega * elapsed)
+            turn = self._turn * elapsed
+            swing = decay * (math.sin(turn) / self._turn if self._turn > 0.0 else elapsed)
+            wave, rub = decay * math.cos(turn), self._damping * self._omega * swing
+            self._motion = (wave + rub, swing, -self._omega * self._omega * swing, wave - rub)
+        y, rate, x = self._state
+        stay, by_rate = self._motion[0], self._motion[1]
+        behind = 2.0 * self._damping / self._omega  # s, delay of y behind a ramp
+        # y - x + behind*slope oscillates freely; the slope is (x' - x)/elapsed
+        by_slope = (-behind + stay * behind - by_rate) / elapsed
+        self._direct = 1.0 + by_slope
+        self._free = stay * (y - x) + by_rate * rate - by_slope * x
 
     def keep(self, x: float) -> None:
         if not self._state:
             self._state = self.resting(x)
             return
         y, rate, last = self._state
-        m, state = self._matrix, self._state
+        slope = (x - last) / self._elapsed
+        ahead = y - last + 2.0 * self._damping / self._omega * slope
+        state, motion = self._state, self._motion
         state[0] = self._free + self._direct * x
-        state[1] = m[4] * y + m[5] * rate + m[6] * last + m[7] * x
+        state[1] = slope + motion[2] * ahead + motion[3] * (rate - slope)
         state[2] = x
 
     def resting(self, x: float) -> list[float]:
         return [x, 0.0, x]
-
-    def set(self, state: Sequence[float]) -> None:
-        super().set(state)
-        self._free, self._direct = 0.0, 1.0
 
 
 class Dahl(Live):

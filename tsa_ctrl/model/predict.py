@@ -240,7 +240,7 @@ def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -
         if stack.presliding is None:
             return hold_direction(omega)
         assert path is not None
-        return stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
+        return stack.presliding.state(signals.legs(path), stack.presliding.start(path, signals.t, omega))
 
     return _kept(signals, ("sigma", stack.velocity_lag, stack.presliding), compute)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments
 
 DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
 _RUN_IN = 3.0  # periods of the cutoff by which both ends are extended; the remaining transient is below 1e-5
+_LARGEST = 8_000_000  # bytes, largest cached segments of a path: an hour at 1 kHz must need less than a gigabyte
 _SHORTEST_FILTERED = 64  # samples; below this the filter's run-in is longer than the log
 
 
@@ -87,6 +90,22 @@ class Signals:
         """Return the cache for results of predictions; its keys are the arguments other than the signals."""
         return {}
 
+    def legs(self, path: Array) -> MonotonicSegments:
+        """Return the monotonic segments of a path, cached because a search requests them for many distances.
+
+        The cache has room for two paths of a short log.
+        """
+        known = next((legs for legs in self._legs if legs.path is path), None)
+        if known is None:
+            known = MonotonicSegments.of(path)
+            if known.nbytes < _LARGEST:
+                self._legs.append(known)
+        return known
+
+    @cached_property
+    def _legs(self) -> deque[MonotonicSegments]:
+        return deque(maxlen=2)
+
     @property
     def period(self) -> float:
         """Return the mean sampling period, s; 1 for a single sample."""
@@ -127,7 +146,9 @@ def hold_direction(omega: Array) -> Array:
     """
     sigma = np.sign(omega)
     moving = sigma != 0.0
-    if moving.all() or not moving.any():
+    if moving.all():
+        return sigma
+    if not moving.any():
         return sigma
     last = np.maximum.accumulate(np.where(moving, np.arange(len(sigma)), int(np.argmax(moving))))
     held: Array = sigma[last]

@@ -29,6 +29,7 @@ from tsa_ctrl.model.effects.specification import (
 )
 from tsa_ctrl.model.filters import Memory
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl, last_reversal, maxwell_slip
 from tsa_ctrl.model.signals import Signals
 
 _GRID_TOLERANCE = 0.02  # largest deviation of a step from a whole number of counts, because of rounding in the file
@@ -99,14 +100,12 @@ class PreslidingHysteresis:
         """
         return float(np.sign(omega[0])) if _moves_at_start(displacement, t) else 0.0
 
-    def state(self, displacement: Array, start: float) -> Array:
+    def state(self, displacement: Array | MonotonicSegments, start: float) -> Array:
         """Return z, shape (n,), along a displacement of shape (n,)."""
-        from tsa_ctrl.model.effects import kernels  # slow to import
-
-        path = kernels.plain(displacement)
+        legs = displacement if isinstance(displacement, MonotonicSegments) else MonotonicSegments.of(displacement)
         if self.elements == 1:
-            return np.asarray(kernels.dahl(path, self.presliding_distance, start))
-        return np.asarray(kernels.maxwell_slip(path, self.presliding_distance, self.elements, start))
+            return dahl(legs, self.presliding_distance, start)
+        return maxwell_slip(legs, self.presliding_distance, self.elements, start)
 
 
 class PreslidingState:
@@ -176,9 +175,7 @@ class Backlash:
 
         Reversals of up to two encoder counts do not count.
         """
-        from tsa_ctrl.model.effects import kernels  # slow to import
-
-        return np.asarray(kernels.last_reversal(kernels.plain(q_j), _REVERSAL * resolution(q_j)))
+        return last_reversal(MonotonicSegments.of(q_j), _REVERSAL * resolution(q_j))
 
     def inside(self, q_j: Array, reversal: Array) -> npt.NDArray[np.bool_]:
         """Return a mask, shape (n,), of the samples with open backlash; `reversal`: result of `last_reversal`."""

@@ -104,6 +104,6 @@ def _friction(frame: Frame, effect: PreslidingHysteresis) -> tuple[Array, Array]
     states = []
     for run in frame.runs:
         path = effect.path(run.signals)
-        states.append(effect.state(path, effect.start(path, run.signals.t, run.signals.omega_j)))
+        states.append(effect.state(run.signals.legs(path), effect.start(path, run.signals.t, run.signals.omega_j)))
     loaded = [z * run.signals.tau_m for z, run in zip(states, frame.runs, strict=True)]
     return frame.stack(states), frame.stack(loaded)
