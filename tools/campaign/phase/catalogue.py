@@ -65,9 +65,9 @@ _SLACK = (
     "may be equally small, so it is not evaluated; add a spring or a switch at the tensioner, which detects it at once"
 )
 _BLIND = (
-    "during the observed half second, the friction compensation may be too large by the uncertainty of the elongation; "
-    "most of these joints have no joint torque sensor, which would let the guard reduce it; add a sensor or a "
-    "counterweight"
+    "until the tendons have slid in both directions, the friction compensation may be too large by the uncertainty of "
+    "the elongation; most of these joints have no joint torque sensor, which would let the guard reduce it; add a "
+    "sensor or a counterweight"
 )
 _MORE = (
     "without a joint torque sensor, a motor with 40 % more torque cannot be distinguished from one with a "
@@ -89,13 +89,27 @@ _LOOSE = (
     "a joint that friction held below its desired torque starts to move, because the friction term changes sign with "
     "the noise; use an encoder with less noise and set [axis.limits] travel"
 )
+_FURTHER = (
+    "a free joint that turned while the drive recovered moved 0.37 rad further than without the fault; set "
+    "[axis.limits] travel and add an end stop"
+)
+_LATER = (
+    "the start is delayed, so a free joint turns further than without the fault, at the same speed and without added "
+    "energy; set [axis.limits] travel"
+)
+_OLDER = (
+    "a free joint received 0.12 J from an older command before the read-back showed it; reduce the RPDO time-out of "
+    "the drive"
+)
+_LIMB = "a limb received 0.16 J within 3 s, while the share of the compensation was changed; add an end stop"
 
 HAZARDS: tuple[Hazard, ...] = (
     # power
     Hazard("power cycle of all nodes", NO_TORQUE, _LOST, ("power_cycle duration=0.15",), residual=_LIMP),
     Hazard("brown-out, 20 ms", NO_TORQUE, _LOST, ("power_cycle duration=0.02",), residual=_LIMP),
     Hazard("drive fault", NO_TORQUE, "drive fault|emergency", ("fault",), residual=_LIMP),
-    Hazard("drive fault that stays", NO_TORQUE, "drive fault|emergency", ("fault duration=0.3",), residual=_LIMP),
+    Hazard("drive fault that stays", NO_TORQUE, "drive fault|emergency", ("fault duration=0.3",), residual=_LIMP,
+           open=_FURTHER),
     Hazard("safe torque off", NO_TORQUE, "left operation|does not enable|confirm", ("torque_off",), residual=_LIMP),
     Hazard(
         "safe torque off and back", NO_TORQUE, "left operation|does not enable", ("torque_off duration=0.05",),
@@ -140,7 +154,7 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("two of three commands lost", OLD, "", ("sparse_rpdo value=2",), goes_on="a command is two periods old"),
     Hazard("four of five commands lost", OLD, "held an older command", ("sparse_rpdo value=4",), lie=True),
     Hazard("nineteen of twenty commands lost", OLD, "held an older command|drive fault|emergency",
-           ("sparse_rpdo value=19",), lie=True),
+           ("sparse_rpdo value=19",), lie=True, open=_OLDER),
     Hazard("the drive hears nothing", OLD, _LOST + "|enable|reset", ("deaf",)),
     Hazard("nothing is heard of the drive", OLD, _LOST + "|enable", ("missing_tpdo", "heartbeat_lost")),
     Hazard("error frame: bus-off", NOBODY, "bus fault", ("error_frame value=64",)),
@@ -162,12 +176,12 @@ HAZARDS: tuple[Hazard, ...] = (
         lie=True, residual="detected within 0.3 s by reading back",
     ),
     # the computer
-    Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8|skipped", act="hang"),
+    Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8|skipped", act="hang", open=_LATER),
     Hazard("loop stands still for 10 ms", OLD, "", act="hitch", goes_on="shorter than every time-out"),
     Hazard("loop dies", NOBODY, "", act="die", residual="the drive's time-outs stop it: tsa verify-safety"),
     Hazard("recovery asked for meanwhile", MOVES, "", act="recover", goes_on="only from a latched fault"),
     # motor
-    Hazard("motor turns the wrong way", MOVES, "", ("reversed_sign",), lie=True),
+    Hazard("motor turns the wrong way", MOVES, "", ("reversed_sign",), lie=True, open=_LIMB),
     Hazard("polarity turned", MOVES, "", ("polarity",), lie=True),
     Hazard("motor gives 1.4 times", MOVES, "", ("torque_gain value=1.4",), lie=True, residual=_UNSEEN, open=_MORE),
     Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN, open=_LATE),
