@@ -200,6 +200,20 @@ def test_a_sensor_that_fails_while_the_tendons_slide_stops_counting_before_its_p
     assert not evidence.follows
 
 
+@pytest.mark.parametrize("shown", [1.0, 0.0], ids=["correct", "unplugged"])
+def test_a_correct_sensor_is_not_contradicted_by_friction_that_grows_with_the_velocity(shown: float) -> None:
+    """The motor then needs more torque at a higher velocity, and the joint receives the same."""
+    evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)
+    compared(evidence, correct, falls, 1.0, 1)
+    random = np.random.default_rng(9)
+    for cycle in range(round(1.0 / PERIOD)):
+        omega = SPEED * (1.0 + 0.8 * math.sin(10.0 * cycle * PERIOD))
+        load = 0.0 if shown == 1.0 else 0.3 * FRICTION * math.sin(23.0 * cycle * PERIOD)
+        tau_m = FRICTION * (2.0 / 3.0 + 0.5 * (omega - SPEED)) + load
+        evidence.update(5e-3 * random.standard_normal(), 0.0, tau_m, 0.0, 0.0, False, omega, 1)
+    assert evidence.follows is (shown == 1.0)
+
+
 def test_noise_at_the_begin_of_a_stroke_is_no_evidence() -> None:
     """Two samples always have a correlation of 1 or -1."""
     evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)

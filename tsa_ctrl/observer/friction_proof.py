@@ -75,7 +75,7 @@ class SensorEvidence:
         self._means = (math.nan,) * 4  # N*m: sensor, observer, elongation, motor
         self._products = (0.0,) * 8  # (N*m)^2, of the deviations from the means
         self._sliding, self._slid = 0, 0.0  # direction in which the tendons slide, and s since they do
-        self._brief = (0.0,) * 5  # within `BRIEFLY`: means of sensor and motor at the joint, and products
+        self._brief = (0.0,) * 9  # within `BRIEFLY`: means of sensor, motor at the joint and velocity, and products
         self._since = math.inf  # rad of travel since the sensor last followed the elongation
         self._wait = 0  # cycles
 
@@ -139,8 +139,8 @@ class SensorEvidence:
         self._products = ss, ee, yy, mm, se, sy, sm, ym
         motor = self.slopes[sliding < 0] * (tau_m - sliding * friction)
         if sliding != self._sliding:
-            self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, motor, 0.0, 0.0, 0.0)
-        follows = self._follows_motor(sensor, motor) if sliding != 0 else 0
+            self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, motor, omega_j, *(0.0,) * 6)
+        follows = self._follows_motor(sensor, motor, omega_j) if sliding != 0 else 0
         self._since += abs(omega_j) * self._period
         least, faint = self._least, self._faint
         if mm > 0.0:  # the parts of sensor and elongation that the motor torque does not explain
@@ -157,20 +157,30 @@ class SensorEvidence:
         elif (clear and sy < 0.0) or (ee > least and confirmed):
             self._since = math.inf
 
-    def _follows_motor(self, sensor: float, motor: float) -> int:
-        """Return 1 if the sensor follows the motor torque, -1 if it does not, and 0 without evidence."""
+    def _follows_motor(self, sensor: float, motor: float, omega: float) -> int:
+        """Return 1 if the sensor follows the motor torque, -1 if it does not, and 0 without evidence.
+
+        Friction may grow with the velocity. The part of the motor torque that is proportional to the velocity is
+        therefore no evidence against the sensor.
+        """
         forget = self._forget_briefly
-        s, m, ss, mm, sm = self._brief
-        ds, dm = sensor - s, motor - m
+        s, m, w, ss, mm, ww, sm, sw, mw = self._brief
+        ds, dm, dw = sensor - s, motor - m, omega - w
         ss += forget * (ds * ds - ss)
         mm += forget * (dm * dm - mm)
+        ww += forget * (dw * dw - ww)
         sm += forget * (ds * dm - sm)
-        self._brief = s + forget * ds, m + forget * dm, ss, mm, sm
+        sw += forget * (ds * dw - sw)
+        mw += forget * (dm * dw - mw)
+        self._brief = s + forget * ds, m + forget * dm, w + forget * dw, ss, mm, ww, sm, sw, mw
         self._slid += self._period
         if not self._slid > 0.5 * BRIEFLY:
             return 0
         if mm > self._faint and sm > SHOWN * mm and sm * sm > ALIKE * ALIKE * ss * mm:
             return 1
+        if ww > 0.0:
+            mm -= mw * mw / ww
+            sm -= sw * mw / ww
         return -1 if mm > self._least and sm < SHOWN * mm else 0
 
 
