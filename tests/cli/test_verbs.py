@@ -83,6 +83,8 @@ def test_unknown_verb_is_one_line_with_the_nearest(monkeypatch: pytest.MonkeyPat
     assert failed("diagnoze").startswith("tsa: No such command 'diagnoze'")
     assert "did you mean 'status'?" in failed("stat")
     assert "did you mean 'diagnose FOLDER'?" in failed("fleet", "folder")
+    assert "did you mean 'log convert'?" in failed("convert", "file")
+    assert "did you mean 'drive diff'?" in failed("dif", "file")
     assert all(name.split()[0] in VERBS or name == "--version" for name in OTHER_NAMES.values())
     monkeypatch.setenv("SHELL", "/bin/tcsh")
     assert "no completion for shell 'tcsh'" in failed("--install-completion")

@@ -55,14 +55,9 @@ VERBS: dict[str, str] = {
 OTHER_NAMES = {
     "fleet": "diagnose FOLDER",
     "batch": "diagnose FOLDER",
-    "trend": "log trend",
     "health": "log trend",
-    "import": "log import",
-    "convert": "log convert",
-    "info": "log info",
     "check": "run --check",
     "probe": "drive probe",
-    "dump": "drive dump",
     "fetch": "data fetch",
     "report": "bundle",
     "start": "run",
@@ -95,14 +90,19 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Suggest a similar command, because click searches only the loaded commands, and none is loaded."""
-        near = difflib.get_close_matches(args[0], VERBS, n=1)
-        if (
-            args[0] not in VERBS
-            and (said := OTHER_NAMES.get(args[0]) or (near and near[0]))
-            and not ctx.resilient_parsing
-        ):
+        if args[0] not in VERBS and not ctx.resilient_parsing and (said := self._nearest(ctx, args[0])):
             ctx.fail(f"No such command '{args[0]}'; did you mean '{said}'?")
         return super().resolve_command(ctx, args)
+
+    def _nearest(self, ctx: click.Context, name: str) -> str | None:
+        """Return the command that was probably meant: by another name, spelled alike, or a subcommand."""
+        near = difflib.get_close_matches(name, VERBS, n=1)
+        if name in OTHER_NAMES or near:
+            return OTHER_NAMES.get(name) or near[0]
+        groups = {verb: command for verb in VERBS if isinstance(command := self.get_command(ctx, verb), click.Group)}
+        within = {sub: f"{verb} {sub}" for verb, group in groups.items() for sub in group.list_commands(ctx)}
+        near = difflib.get_close_matches(name, within, n=1)
+        return within[near[0]] if near else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

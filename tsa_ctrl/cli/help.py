@@ -13,10 +13,9 @@ import click
 from tsa_ctrl.bus.canopen.meanings import Code, code_in, meanings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.outputs import terminal
-from tsa_ctrl.safety.causes import Cause
+from tsa_ctrl.safety.causes import HELD_UP_CODES, Cause
 
 PACKAGE = Path(__file__).parents[1]
-HELD_UP = {0x8130, 0x8250}  # EMCY codes for which `safety.supervisor` latches the cause "held_up"
 TOPICS = {
     "commands": ("cli/README.md", "every command, the files, first steps at a desk"),
     "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
@@ -91,7 +90,7 @@ def _explain(code: Code, topic: str) -> None:
         )
     for line in lines:
         click.echo(line)
-    if code.value in HELD_UP and code.subindex is None:
+    if code.value in HELD_UP_CODES and code.subindex is None:
         click.echo(f"Remedy: {Cause.HELD_UP.remedy} (tsa help {Cause.HELD_UP.id})")
     elif any(" as EMCY " in line for line in lines):
         click.echo(f"Remedy: {Cause.EMERGENCY.remedy} (tsa help {Cause.EMERGENCY.id})")

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 _RECOVER = "then recover with tsa set recover 1"
 _BRING_UP = f"{_RECOVER}, which configures the nodes again"
+# EMCY codes of `HELD_UP`: no heartbeat of the host, RPDO timed out (CiA 301)
+HELD_UP_CODES = frozenset({0x8130, 0x8250})
 
 
 class Cause(Enum):

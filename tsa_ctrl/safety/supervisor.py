@@ -15,7 +15,7 @@ from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
 from tsa_ctrl.safety import fault_details
-from tsa_ctrl.safety.causes import Cause, Fault, Finding
+from tsa_ctrl.safety.causes import HELD_UP_CODES, Cause, Fault, Finding
 from tsa_ctrl.safety.debounce import SECOND, LostPeriods, Sender
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive detects the edge
@@ -47,7 +47,6 @@ class Phase(Enum):
     RESETTING = "resetting"
 
 
-_HELD_UP = frozenset({0x8130, 0x8250})  # EMCY codes: heartbeat of the host lost, RPDO timed out (CiA 301)
 _LEARNING = (Phase.STANDBY, Phase.ENABLING, Phase.ENABLED)  # record the drive's power bits; it may be off in any phase
 
 
@@ -204,7 +203,7 @@ class Supervisor:
             self._latch(Cause.NMT_STATE, f"{health}: NMT state 0x{health.nmt_state:02X}", now)
         if health.emcys != self._emcys.get(health.node_id, 0):
             self._emcys[health.node_id] = health.emcys
-            cause = Cause.HELD_UP if health.emcy is not None and health.emcy.code in _HELD_UP else Cause.EMERGENCY
+            cause = Cause.HELD_UP if health.emcy is not None and health.emcy.code in HELD_UP_CODES else Cause.EMERGENCY
             self._latch(cause, f"{health}: {health.emcy}{self._if_a_warning(image, health)}", now)
 
     def _if_a_warning(self, image: Image, health: NodeHealth) -> str:
