@@ -17,11 +17,9 @@ from click.testing import CliRunner
 
 from tests.conftest import ROOT
 from tsa_ctrl.cli import OTHER_NAMES, VERBS, cli, main, module_of
-from tsa_ctrl.cli import help as help_page
 from tsa_ctrl.cli.drive import find_target
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.safety import supervisor
 from tsa_ctrl.safety.causes import Cause
 
 
@@ -215,10 +213,6 @@ def test_help_of_an_unknown_code_gives_the_place_to_look(topic: str) -> None:
     error = CliRunner().invoke(cli, ["help", *topic.split()]).exception
     assert isinstance(error, UsageError)
     assert re.fullmatch(r"help: 0x\w+ is no code .*; look in the manual of the drive .*", str(error))
-
-
-def test_help_gives_the_remedy_of_the_cause_that_latches() -> None:
-    assert help_page.HELD_UP == supervisor._HELD_UP
 
 
 def test_help_lists_every_fault_and_knows_a_misspelt_one() -> None:
