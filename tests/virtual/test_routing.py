@@ -117,8 +117,8 @@ def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: P
     """The hip's encoder fails. An event reports it.
 
     The friction becomes the smallest in the hip's travel within 50 ms. While the friction term keeps its direction, the
-    command changes by at most 50 mN*m at the joint per cycle (49.5 and 46.8). Losses at 24 moments from 2.5 to 3.8 s
-    gave 17 to 50.3 mN*m. A reversal changes the command faster, by 93 to 295 mN*m per cycle with a weight. Without a
+    command changes by at most 50 mN*m at the joint per cycle (45.4 and 41.4). Losses at 12 moments from 2.5 to 3.6 s
+    gave 15 to 45.4 mN*m. A reversal changes the command faster, by 93 to 295 mN*m per cycle with a weight. Without a
     loss the largest change is also 295 mN*m.
     """
     paths = files(tmp_path, load, 0.4, travel=True)

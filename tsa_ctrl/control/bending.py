@@ -4,7 +4,8 @@
 
 A measured angle is extrapolated by the joint's velocity to the time at which the torque acts. A missing angle is
 replaced by the angle within the joint's range at which the sheath is bent least. Friction and pretension grow with the
-wrap angle, so this is the least friction that the joint allows. The transition is gradual.
+wrap angle, so this is the least friction that the joint allows. The transition is gradual: the square of the wrap
+angle changes evenly, and with it the friction, because friction angle and pretension both grow with the wrap angle.
 
 Tendons a and b may be routed differently. Their friction angles then differ, and so do their path lengths:
 
@@ -56,7 +57,8 @@ class _Joint:
         self._span = span
         self._seen = (math.inf, -math.inf)  # rad, measured range, used for a joint without a travel
         self._added = math.nan
-        self._gap = self._step = 0.0
+        self._gap = 0.0  # rad, change that the transition spreads
+        self._left, self._step = 0.0, 0.0  # part of it that is left, 1 to 0, and its change in a period
         self._period = period
 
     def extremes(self) -> Span:
@@ -82,8 +84,12 @@ class _Joint:
         self._apart = 0.5 * (a.added_by(self.name, angle) - b.added_by(self.name, angle))
         return self._apart, 0.5 * speed * (a.slope_by(self.name, angle) - b.slope_by(self.name, angle))
 
-    def update(self) -> float:
-        """Return the angle that the joint adds now, rad; changes between measured and missing are gradual."""
+    def update(self, others: float) -> float:
+        """Return the angle that the joint adds now, rad; changes between measured and missing are gradual.
+
+        Args:
+            others: wrap angle without this joint, rad.
+        """
         angle, speed = (math.nan, 0.0) if self._read is None else self._read()
         angle += self._ahead * speed
         missing = not math.isfinite(angle)
@@ -97,14 +103,15 @@ class _Joint:
             self._seen = min(low, angle), max(high, angle)
         if missing is not self.missing and self._added == self._added:
             self._gap = self._added - added
-            self._step = abs(self._gap) * self._period / (FADE_OUT if missing else FADE_IN)
+            self._left, self._step = 1.0, self._period / (FADE_OUT if missing else FADE_IN)
             self.fading = True
         self.missing = missing
         if self.fading:
-            left = max(0.0, abs(self._gap) - self._step)
-            self.fading = left > 0.0
-            self._gap = math.copysign(left, self._gap)
-            added += self._gap
+            self._left = max(0.0, self._left - self._step)
+            self.fading = self._left > 0.0
+            to = max(0.0, others + added)
+            start = max(0.0, to + self._gap)
+            added = math.sqrt(to * to + self._left * (start * start - to * to)) - others
         if not missing or self._read is None or self._added == self._added:
             self._added = added
         return added
@@ -184,5 +191,5 @@ class Bending:
             return math.nan
         theta = self.commanded if self._measured is None else self._measured()
         for joint in self._joints:
-            theta += joint.update()
+            theta += joint.update(theta)
         return theta if theta >= 0.0 or theta != theta else 0.0

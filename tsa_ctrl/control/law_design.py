@@ -4,10 +4,11 @@ All values that [axis.law] leaves out are derived here once, before the loop sta
 
 * the delay from a measurement to the acting torque: the setting, or otherwise the sum of transport (a period with
   rpdo = "sync"), half a period of hold, and the torque loop of the drive;
-* the duration of a friction reversal: `TURN` periods with all bends before the middle of the sheath. It is shorter with
-  bends nearer to the joint, because no front hides it there. Without a known motor inertia, no motor motion is planned.
-  The reversal then takes `BLIND` s, which is slow enough for a light motor on stiff tendons. A limit of [axis.limits]
-  or of the drive can lengthen it. The speed limits latch a fault, so they also lengthen a reversal of [axis.law];
+* the duration of a friction reversal: `TURN` plus `HELD` periods with all bends before the middle of the sheath. It is
+  shorter with bends nearer to the joint, because no front hides it there. Without a known motor inertia, no motor
+  motion is planned. The reversal then takes `BLIND` s, which is slow enough for a light motor on stiff tendons. A limit
+  of [axis.limits] or of the drive can lengthen it. The speed limits latch a fault, so they also lengthen a reversal of
+  [axis.law];
 * the damping that keeps a gain margin of 2 (`gain_margin`); 0 if no damping keeps it.
 """
 
@@ -140,7 +141,10 @@ def _held(
     return whole[:3, :3], whole[:3, 3:]
 
 
-TURN, TURN_AT_JOINT = 8, 5  # periods of a reversal, for bends up to the middle of the sheath and for all at the joint
+# s of a reversal, for bends up to the middle of the sheath and for all at the joint, and the periods that are added,
+# because the torque is held for a period. At 250 Hz, a reversal of 8 periods has twice the error of 4 to 5 (34 instead
+# of 17 mN*m with a prescribed gait). At 1 kHz, 5 periods let a heavy motor oscillate (24 instead of 6 mN*m).
+TURN, TURN_AT_JOINT, HELD = 5e-3, 2e-3, 3
 BLIND = 0.02  # s of a reversal without a motor inertia
 LONGEST_TURN = 0.06  # s; a slower reversal does not follow a gait, so a limit of rate or torque then cuts it instead
 MOST_TURN = 0.2  # s; a speed limit must not require more
@@ -290,7 +294,7 @@ def design_law(
 
 def reversal_speed(model: TendonSheath, turn: float | None, period: float) -> float:
     """Return the speed of the motor, rad/s, in a friction reversal at a joint at rest; `turn` and `period` in s."""
-    return wound_by_friction(model) / (turn or TURN * period)
+    return wound_by_friction(model) / (turn or TURN + HELD * period)
 
 
 def _way(front: ReversalFront, half_loop: float, stiffness: float) -> float:
@@ -324,9 +328,9 @@ def _duration(
     """Return the duration of a friction reversal that the limits of rate and torque allow, s."""
     half_loop = abs(sliding(model).motor_half_loop)
     to_joint = max(0.0, 2.0 * front.centre - 1.0)
-    periods = TURN - (TURN - TURN_AT_JOINT) * to_joint
+    shortest = TURN - (TURN - TURN_AT_JOINT) * to_joint + HELD * period
     share = RATE_SHARE + (RATE_SHARE_AT_JOINT - RATE_SHARE) * to_joint
-    duration = periods * period if inertia else max(BLIND, periods * period)
+    duration = shortest if inertia else max(BLIND, shortest)
     moved = _way(front, half_loop, stiffness)
     while duration < LONGEST_TURN:
         step = 2.0 * half_loop * FrictionReversal(front, duration, period).steepest()
@@ -336,7 +340,7 @@ def _duration(
         if step <= share * rate * period and swing <= TORQUE_SHARE * torque and slope <= RATE_OF_INERTIA * rate:
             break
         duration += 0.5 * period
-    return min(duration, LONGEST_TURN) if duration > periods * period else duration
+    return min(duration, LONGEST_TURN) if duration > shortest else duration
 
 
 def _damping(
