@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.motion_filter import HALF, LONGEST, MOST_EXPECTED, QUIET, JointAngle, Motion
+from tsa_ctrl.control.motion_filter import HALF, JERK, LONGEST, MOST_EXPECTED, JointAngle, Motion
 
 PERIOD = 1e-3
 
@@ -56,9 +56,32 @@ def test_standstill_on_the_edge_of_a_count_is_quieter_than_it_says(bits: int) ->
 
 
 def test_memory_grows_where_counts_are_coarse_and_no_further() -> None:
-    fine, coarse = Motion(PERIOD, count(20), 6e-3), Motion(PERIOD, count(12), 6e-3)
-    assert fine.memory < coarse.memory == LONGEST
-    assert fine.noise < QUIET < coarse.noise
+    memories = [Motion(PERIOD, count(bits), 6e-3).memory for bits in range(20, 7, -1)]
+    assert memories == sorted(memories)
+    assert memories[0] < 0.5 * memories[6] < memories[-1] <= LONGEST
+
+
+@pytest.mark.parametrize("bits", [14, 16, 20])
+@pytest.mark.parametrize("period", [1e-3, 2.5e-3, 4e-3])
+def test_no_longer_memory_predicts_better(bits: int, period: float) -> None:
+    """The sum of squares of two errors is smallest: one encoder count, and a change of the acceleration."""
+    ahead = 5e-3 + 3.0 * period
+
+    def predicted(motion: Motion, angles: np.ndarray) -> np.ndarray:
+        found = []
+        for angle in angles.tolist():
+            motion.update(angle)
+            found.append(motion.velocity + ahead * motion.acceleration)
+        return np.array(found)
+
+    def error(shortest: float) -> float:
+        noise = np.abs(predicted(Motion(period, count(bits), ahead, shortest), np.r_[0.0, np.full(400, count(bits))]))
+        t = period * np.arange(400)
+        lag = predicted(Motion(period, count(bits), ahead, shortest), JERK * t**3 / 6.0)[-1]
+        return math.hypot(float(noise.max()), JERK * (t[-1] + ahead) ** 2 / 2.0 - lag)
+
+    chosen = Motion(period, count(bits), ahead).memory
+    assert error(chosen) < error(1.3 * chosen) < error(2.0 * chosen)
 
 
 def test_a_missing_answer_is_no_standstill() -> None:

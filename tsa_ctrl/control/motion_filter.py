@@ -9,8 +9,11 @@ from __future__ import annotations
 import math
 
 SHORTEST, LONGEST = 1.0 / 300.0, 0.02  # s of memory: ten periods of 3 kHz; a gait reverses within two of the longest
-FEWEST = 10.0 / 3.0  # least periods of memory, because with fewer the acceleration is only noise
-STEP = 1.2  # ratio of successive memories in the search
+FEWEST = 1.5  # least periods of memory, because with fewer the acceleration is only noise
+STEP = 1.1  # ratio of successive memories in the search
+# rad/s^3 at the reversals of a gait (0.3 rad at 1 Hz: 74). The memory that this value gives has the smallest errors
+# with a prescribed gait and a human-in-the-loop load at 250 to 1000 Hz and encoders of 12 to 20 bit.
+JERK = 50.0
 QUIET = 0.04  # rad/s: human joints hardly move more slowly, and a longer memory would add delay
 MOST_EXPECTED = 50  # periods without an angle that end the extrapolation: the watchdogs have then removed the torque
 _SETTLED = 40  # memories after which a step has no effect
@@ -20,10 +23,13 @@ class Motion:
     """Estimate velocity (rad/s) and acceleration (rad/s^2) of the joint at the last angle; both are 0 at the first one.
 
     A fading-memory filter of second degree fits a parabola in which each angle weighs m times as much as the next. A
-    low-pass filter of differences would delay the reversal, which must be predicted. The memory dt/(1 - m) is the
-    shortest at which one encoder count changes the extrapolated velocity by at most `QUIET`; `noise` (rad/s) is this
-    change. The parabola also replaces missing angles. After `MOST_EXPECTED` of them, both values are 0, and the next
-    angle is the first one.
+    low-pass filter of differences would delay the reversal, which must be predicted. The memory is dt/(1 - m). A short
+    one amplifies the encoder's counts, and a long one delays a change of the acceleration. The chosen memory has the
+    smallest sum of squares of two errors of the extrapolated velocity: `noise` (rad/s), its largest change by one
+    count, and its error at the jerk `JERK`.
+
+    The parabola also replaces missing angles. After `MOST_EXPECTED` of them, both values are 0, and the next angle is
+    the first one.
 
     Source: N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969, chapter 13.
     """
@@ -42,12 +48,16 @@ class Motion:
         self._period = period
         memory = max(shortest, FEWEST * period)
         longest = max(LONGEST, memory)
-        self._use(memory)
-        while (noise := resolution * self._step_response(horizon)) > QUIET and memory < longest:
-            memory = min(longest, STEP * memory)
+        best = math.inf
+        while memory <= longest:
             self._use(memory)
-        self.memory = memory
-        self.noise = noise
+            noise = resolution * self._step_response(horizon)
+            error = math.hypot(noise, JERK * self._jerk_response(horizon))
+            if error >= best:
+                break
+            best, self.noise, chosen = error, noise, memory
+            memory *= STEP
+        self._use(chosen)
         self.reset()
 
     def _use(self, memory: float) -> None:
@@ -85,6 +95,14 @@ class Motion:
             if self._missing >= MOST_EXPECTED:
                 omega = alpha = 0.0
         self.angle, self.velocity, self.acceleration = q, omega, alpha
+
+    def _jerk_response(self, horizon: float) -> float:
+        """Return the error of the velocity, extrapolated by `horizon` (s), at a jerk of 1 rad/s^3, rad/s."""
+        dt = self._period
+        residual = dt / self._k  # of the angle; it changes the acceleration by the jerk in each period
+        acceleration = (self._h * residual - dt**2 / 2.0) / dt
+        velocity = (self._g * residual - dt**2 / 2.0 * acceleration - dt**3 / 6.0) / dt
+        return velocity + horizon * acceleration + horizon**2 / 2.0
 
     def _step_response(self, horizon: float) -> float:
         """Return the largest velocity, extrapolated by `horizon` (s), after a step of the angle by 1 rad; rad/s."""
