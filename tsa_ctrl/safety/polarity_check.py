@@ -43,9 +43,9 @@ import math
 
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.debounce import Debounce
+from tsa_ctrl.safety.residuals import GEARING
 
 SMALL = 0.11  # of the limiter's absolute limit; plus 4 % until a reversed motor is detected: 15 % is safe for a person
-GEARING = 0.02  # 1, possible error of the file's ratio of the radii, as in `safety.residuals`
 COUNTED = 1.5  # counts of both encoders above which the elongation is used: one count of each may change by chance
 RIPPLE = 0.005  # of that limit, RMS in the band above which a torque is used: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
@@ -135,11 +135,8 @@ class PolarityCheck:
         self._begun = math.inf
         self._moved = -math.inf
         self._pulled = self._driven = self._suspect = self._fast = False
-        self._reversed.reset()
-        self._turned.reset()
-        self._altered.reset()
-        self._gives.reset()
-        self._excessive.reset()
+        for clock in (self._reversed, self._turned, self._altered, self._gives, self._excessive):
+            clock.reset()
         self._begin(0.0, -math.inf)
 
     def _begin(self, direction: float, until: float) -> None:
@@ -179,17 +176,17 @@ class PolarityCheck:
             self._moved = now
             if not self._pulled:
                 self._driven = True
-        if self._shown and self.ceiling != math.inf:
+        if self._shown:
             self.ceiling += self._limit * self._period / GROWTH
             if self.ceiling >= self._limit:
                 self.ceiling = math.inf
-        elif not self._shown:
+        else:
             self._begun = min(self._begun, now)
             if 0.0 < self._held_for < FREES:
                 self._held_for += self._period
                 if abs(self._travel) > self._way:  # the motor is released, so the torque now shows its sign
                     self._held_for = math.inf
-                    self.ceiling = min(self.ceiling, SMALL * self._limit)
+                    self.ceiling = SMALL * self._limit
             elif self._held_for == 0.0 and self._fast:
                 self._held_for = self._period
             if now - self._begun > RESTS and not self._suspect and not 0.0 < self._held_for < FREES:
