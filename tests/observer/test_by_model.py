@@ -18,7 +18,7 @@ def delivered(tau_m: float, sigma: float) -> float:
 
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 def test_sliding_it_is_the_models_line(sigma: float) -> None:
-    seen = ModelTorque(actuator(), PERIOD)
+    seen = ModelTorque(actuator(), PERIOD, 0.0)
     seen.update(0.4, 0.0, sigma * 2.0 * STILL)
     assert seen.torque == pytest.approx(delivered(0.4, sigma))
     half = math.hypot(0.25, 0.25) * 2.0 * R_J * TENSION * math.sinh(X)
@@ -27,7 +27,7 @@ def test_sliding_it_is_the_models_line(sigma: float) -> None:
 
 def test_standing_it_is_the_frictions_band() -> None:
     """At standstill the band contains the lines of both directions. The estimate is their mean."""
-    seen = ModelTorque(actuator(), PERIOD)
+    seen = ModelTorque(actuator(), PERIOD, 0.0)
     seen.update(0.4, 0.0, 0.5 * STILL)
     assert seen.torque == pytest.approx(0.5 * (delivered(0.4, 1.0) + delivered(0.4, -1.0)))
     assert seen.low < delivered(0.4, 1.0) < delivered(0.4, -1.0) < seen.high
@@ -41,7 +41,7 @@ def test_the_motors_own_acceleration_is_taken_off() -> None:
 
 
 def test_stale_values_are_not_taken() -> None:
-    seen = ModelTorque(actuator(), PERIOD)
+    seen = ModelTorque(actuator(), PERIOD, 0.0)
     seen.update(0.4, 0.0, 1.0)
     before = seen.torque
     seen.update(9.0, 0.0, 1.0, fresh=False)
@@ -50,7 +50,7 @@ def test_stale_values_are_not_taken() -> None:
 
 
 def test_parameters_follow_the_estimate() -> None:
-    seen = ModelTorque(actuator(), PERIOD)
+    seen = ModelTorque(actuator(), PERIOD, 0.0)
     seen.set_parameters(X, 0.0)
     seen.update(0.4, 0.0, 1.0)
     assert seen.torque == pytest.approx(R_J * 0.4 / R_M * math.cosh(X))

@@ -29,8 +29,7 @@ class Rig:
 
     def __init__(self, share: float = 0.3, by_stretch: bool = False) -> None:
         self.share = share
-        more = [True] if by_stretch else []  # the default is a torque sensor
-        self.guard = CompensationBackoff(PassivitySettings(), PERIOD, *more)
+        self.guard = CompensationBackoff(PassivitySettings(), PERIOD, by_stretch, compliance=0.0)
         self.cycles = 0
 
     def run(self, seconds: float, speed: float = 1.0, buzz: float = 0.0) -> CompensationBackoff:
@@ -144,7 +143,7 @@ def test_what_drove_the_joint_is_turned_round_for_a_moment() -> None:
 
 
 def test_a_loop_of_200_hz_has_no_time_for_that() -> None:
-    guard = CompensationBackoff(PassivitySettings(), 5e-3)
+    guard = CompensationBackoff(PassivitySettings(), 5e-3, by_stretch=False, compliance=0.0)
     while not guard.count:
         guard.update(Observed(tau_j=0.35, omega_j=1.0, term=HALF_LOOP, half_loop=HALF_LOOP, added=0.5))
     assert guard.share == guard.back_off < 0.2

@@ -15,7 +15,7 @@ HALF_LOOP = 0.5  # N*m at the joint
 
 
 def observer(threshold: float = 3e-3, doubts: tuple[float, float, float] = (0.03, 0.03, 0.01)) -> Passivity:
-    return Passivity(threshold, doubts, PERIOD)
+    return Passivity(threshold, doubts, PERIOD, compliance=0.0)
 
 
 def rows(*columns: Sequence[float] | np.ndarray) -> list[tuple[float, ...]]:
@@ -293,7 +293,7 @@ def test_no_torque_is_a_million() -> None:
 
 def test_energy_of_periods_without_a_cycle_counts() -> None:
     """A cycle without a valid torque takes its periods with it."""
-    whole, halved = (Passivity(1.0, (0.0, 0.0, 0.0), PERIOD) for _ in range(2))
+    whole, halved = (Passivity(1.0, (0.0, 0.0, 0.0), PERIOD, compliance=0.0) for _ in range(2))
     halved.skip_cycles(1000)
     halved.update(math.nan, 0.0, 0.0, 1.0, 0.3, 0.4)
     for n in range(100):

@@ -11,13 +11,24 @@ from hypothesis import strategies as st
 
 from tsa_ctrl.safety.causes import Finding
 from tsa_ctrl.safety.plausibility import Plausibility
-from tsa_ctrl.safety.residuals import Give
+from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.settings import PlausibilitySettings
 
 PERIOD = 0.002  # s
 RADII = (0.020, 0.025)  # m
 MODEL = (0.26, 45.0)
-GIVE = Give(stiffness=40.0, wound=0.03, domain=1.8, play=0.0)
+GIVE = Give(
+    stiffness=40.0,
+    wound=0.03,
+    domain=1.8,
+    play=0.0,
+    doubt=DOUBT,
+    free=1.0,
+    least_free=1.0,
+    friction=FRICTION,
+    inertia=0.0,
+)
+COUNTS = (0.0, 0.0)  # rad; the angles are not rounded
 NO_SENSOR = math.nan
 
 
@@ -26,7 +37,7 @@ class Motion:
 
     def __init__(self, has_encoder: bool = True, **settings: float) -> None:
         chosen = PlausibilitySettings(**{"slip": 0.5} | settings)
-        self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder, GIVE, PERIOD)
+        self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder, GIVE, PERIOD, COUNTS, False)
         self.time = 0.0
         self.offset = 0.0  # rad of the motor
         self.torque: float | None = None  # N*m that the drive reports
@@ -117,7 +128,7 @@ def test_without_an_encoder_nothing_moves_apart() -> None:
 def test_no_parameter_error_of_a_quarter_is_a_contradiction(x_share: float, t_share: float) -> None:
     """Friction angle and pretension may both be wrong by a quarter. This is a calibration error, not a fault."""
     x, t_p = MODEL[0] * x_share, MODEL[1] * t_share
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD, COUNTS, False)
     for n in range(200):
         torque = 0.6 + 0.4 * math.sin(0.05 * n)
         tau_j = 0.025 * (torque / 0.020 * math.cosh(x) - 2.0 * t_p * math.sinh(x))
@@ -127,7 +138,9 @@ def test_no_parameter_error_of_a_quarter_is_a_contradiction(x_share: float, t_sh
 
 def at_rest(**settings: float) -> Plausibility:
     """Return the check of a drive with a rated torque and a limit of 2 N*m."""
-    return Plausibility(PlausibilitySettings(**{"slip": 0.5} | settings), 2.0, 2.0, RADII, True, GIVE, PERIOD)
+    return Plausibility(
+        PlausibilitySettings(**{"slip": 0.5} | settings), 2.0, 2.0, RADII, True, GIVE, PERIOD, COUNTS, False
+    )
 
 
 def look(
@@ -214,7 +227,7 @@ def test_without_an_angle_the_torque_in_use_says_how_far(
     settings: dict[str, float], seconds: float, words: str
 ) -> None:
     """The motor creeps at 1 rad/s away from a joint that trembles by a count. No torque acts."""
-    check = Plausibility(PlausibilitySettings(**settings), 2.0, 2.0, RADII, True, GIVE, PERIOD)
+    check = Plausibility(PlausibilitySettings(**settings), 2.0, 2.0, RADII, True, GIVE, PERIOD, COUNTS, False)
     for n in range(1000):
         t = n * PERIOD
         said = check.update(t, 0.0, (0.0, t, 1.0), 1e-5 * (n % 2), NO_SENSOR, (0.0, 0.0))
@@ -294,7 +307,7 @@ def test_each_reset_forgets_what_was_pending() -> None:
 
 def test_what_the_torque_does_not_explain_lasts_for_a_millisecond_before_it_counts() -> None:
     period = 5e-4
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, period)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, period, COUNTS, False)
     times = [n * period for n in range(1, 60)]
     found = [now for now in times if check.update(now, 0.1 + now, (0.1 + now, 3.0 * (now > 0.01), now), now, NO_SENSOR,
                                                   (0.0, 0.0))]  # fmt: skip

@@ -234,8 +234,8 @@ def told(sense: PolarityCheck, seconds: float, course: Callable[[float], Row]) -
     return None
 
 
-def check_of(wound: float = 0.0, **more: float) -> PolarityCheck:
-    return PolarityCheck(LIMIT, GEARED, PERIOD, wound, **more)
+def check_of(wound: float = 0.0, counts: float = 0.0, stiffness: float = 0.0, slope: float = 1.0) -> PolarityCheck:
+    return PolarityCheck(LIMIT, GEARED, PERIOD, wound, counts, stiffness, slope)
 
 
 def test_torque_is_small_until_the_stretch_shows_its_sense_after_each_enable() -> None:
@@ -478,7 +478,7 @@ def test_a_joint_that_has_just_come_to_rest_says_nothing_of_the_motor_by_its_sen
         torque = 0.018 * math.sin(2.0 * math.pi * 4.0 * t)
         return torque, torque / STIFFNESS, 0.5 * torque, 1.0, 0.3 if t < 0.1 else 0.0
 
-    assert told(PolarityCheck(LIMIT, 0.5, PERIOD), 0.9, course) is None
+    assert told(PolarityCheck(LIMIT, 0.5, PERIOD, wound=0.0, counts=0.0, stiffness=0.0, slope=1.0), 0.9, course) is None
 
 
 def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() -> None:

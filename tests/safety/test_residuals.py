@@ -9,12 +9,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsa_ctrl.safety.residuals import Elongation, Give, SensorNoise, Standstill, Velocity
+from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Elongation, Give, SensorNoise, Standstill, Velocity
 
 PERIOD = 1e-3  # s
 STIFFNESS = 40.0  # N*m/rad
 WOUND = 0.03  # rad
-GIVE = Give(stiffness=STIFFNESS, wound=WOUND, domain=1.8, play=0.0)
+GIVE = Give(
+    stiffness=STIFFNESS,
+    wound=WOUND,
+    domain=1.8,
+    play=0.0,
+    doubt=DOUBT,
+    free=1.0,
+    least_free=1.0,
+    friction=FRICTION,
+    inertia=0.0,
+)
 
 
 class Tendons:
@@ -126,7 +136,7 @@ def test_a_torque_that_swings_and_turns_back_on_much_friction_stops_nothing(fric
 
     The motor follows the torque at a distance of `friction` N*m and rests while the torque reverses.
     """
-    give = Give(stiffness=33.3, wound=0.0864, domain=1.8, play=0.0, free=0.55, inertia=1e-4)
+    give = replace(GIVE, stiffness=33.3, wound=0.0864, free=0.55, inertia=1e-4)
     check, slid, last = Elongation(give, PERIOD), 0.0, 0.0
     times, torques = [0.0, 0.3, 0.5, 0.52, 0.55, 0.8], [0.0, 1.04, 1.04, -1.72, -1.29, -1.29]  # s, N*m
     for n in range(800):
@@ -186,7 +196,7 @@ def test_a_motor_that_turns_the_wrong_way_is_found_as_its_torque_begins() -> Non
 def test_beyond_the_domain_one_tendon_gives_twice_as_much() -> None:
     """The pretension is half of the file's value. The part of the torque beyond it acts on half the stiffness."""
     for domain, most in ((0.5, None), (5.0, 1.0)):
-        check = Elongation(Give(stiffness=STIFFNESS, wound=0.0, domain=domain, play=0.0), PERIOD)
+        check = Elongation(replace(GIVE, wound=0.0, domain=domain), PERIOD)
         said = None
         for n in range(1000):
             torque = 3.0 * min(1.0, n / 500)

@@ -128,19 +128,17 @@ class ModelTorque:
     `slopes`: a(1) and a(-1), 1.
     """
 
-    def __init__(self, model: TendonSheath, period: float, motor_inertia: float = 0.0, still: float = STILL) -> None:
+    def __init__(self, model: TendonSheath, period: float, motor_inertia: float) -> None:
         """Prepare the estimate.
 
         Args:
             model: the tendons and their sheaths.
             period: s.
             motor_inertia: kg*m^2, 0 if unknown.
-            still: joint speed below which the joint may be at rest, rad/s.
         """
         self._sliding = sliding_by(model)
         self._period = period
         self._inertia = motor_inertia
-        self._still = still
         # Relative error of the friction torque: the two parameters have independent errors with 95 % bounds.
         self._share = math.hypot(model.friction_angle_uncertainty, model.pretension_uncertainty)
         self.set_parameters(model.friction_angle, model.pretension)
@@ -173,9 +171,9 @@ class ModelTorque:
         forward, backward = self.slopes
         least, most = self._half_loops
         low, high = forward * tau_m - least, backward * tau_m + most
-        if omega_j > self._still:
+        if omega_j > STILL:
             torque, half = low, self._doubts[0]
-        elif omega_j < -self._still:
+        elif omega_j < -STILL:
             torque, half = high, self._doubts[1]
         else:
             torque = 0.5 * (low + high)

@@ -160,9 +160,7 @@ class CompensationBackoff:
         ratio: measured friction torque over the model's if this cycle found less friction, else nan.
     """
 
-    def __init__(
-        self, settings: PassivitySettings, period: float, by_stretch: bool = False, compliance: float = 0.0
-    ) -> None:
+    def __init__(self, settings: PassivitySettings, period: float, by_stretch: bool, compliance: float) -> None:
         """Prepare the guard.
 
         Args:

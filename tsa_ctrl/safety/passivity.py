@@ -65,9 +65,7 @@ class Passivity:
         wary: True if the axis had a detection recently.
     """
 
-    def __init__(
-        self, threshold: float, doubts: tuple[float, float, float], period: float, compliance: float = 0.0
-    ) -> None:
+    def __init__(self, threshold: float, doubts: tuple[float, float, float], period: float, compliance: float) -> None:
         """Prepare the observer.
 
         Args:

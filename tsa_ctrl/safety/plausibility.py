@@ -45,8 +45,8 @@ class Plausibility:
         has_encoder: bool,
         give: Give,
         period: float,
-        counts: tuple[float, float] = (0.0, 0.0),
-        reports_velocity: bool = False,
+        counts: tuple[float, float],
+        reports_velocity: bool,
     ) -> None:
         """Prepare the checks of one axis.
 

@@ -90,10 +90,10 @@ class PolarityCheck:
         limit: float,
         geared: float,
         period: float,
-        wound: float = 0.0,
-        counts: float = 0.0,
-        stiffness: float = 0.0,
-        slope: float = 1.0,
+        wound: float,
+        counts: float,
+        stiffness: float,
+        slope: float,
     ) -> None:
         """Prepare the check.
 

@@ -61,11 +61,11 @@ class Give:
     wound: float
     domain: float
     play: float
-    doubt: float = DOUBT
-    free: float = 1.0
-    least_free: float = 1.0
-    friction: float = FRICTION
-    inertia: float = 0.0
+    doubt: float
+    free: float
+    least_free: float
+    friction: float
+    inertia: float
 
 
 class Elongation:
