@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.canopen import cia301
-from tsa_ctrl.bus.wire.bus import Bus
+from tsa_ctrl.bus.wire.bus import Bus, Frame
 from tsa_ctrl.errors import BusError
 
 _SWITCH, _NODE_ID, _STORE = 0x04, 0x11, 0x17
@@ -33,7 +33,7 @@ def find(bus: Bus) -> Found:
     _quiet(bus)
     _send(bus, _SWITCH, _CONFIGURING)
     try:
-        identity = {name: _inquire(bus, command, name) for name, command in _INQUIRE.items()}
+        identity = {name: _inquire(bus, command) for name, command in _INQUIRE.items()}
         node_id = _ask(bus, bytes((_INQUIRE_NODE_ID,)))[1]
     finally:
         _send(bus, _SWITCH, _WAITING)
@@ -67,7 +67,7 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
     if found.node_id is not None:
         say(f"the drive had node id {found.node_id}: the new one takes effect at its next reset or power cycle")
         return found
-    if not _wait(bus, cia301.HEARTBEAT + node_id, _BOOT_TIMEOUT):
+    if not any(frame[0] == cia301.HEARTBEAT + node_id for frame in _frames(bus, _BOOT_TIMEOUT)):
         say(f"the drive accepted node id {node_id} but did not boot up within {_BOOT_TIMEOUT:g} s: power-cycle it")
     return found
 
@@ -76,12 +76,7 @@ def _quiet(bus: Bus) -> None:
     """Raise BusError if traffic shows another node or an active master."""
     bus.accept(None)
     bus.flush()
-    end = bus.clock() + _LISTENING
-    heard = set()
-    while (left := end - bus.clock()) > 0.0:
-        frame = bus.recv(left)
-        if frame is not None and frame[0] <= 0x7FF:
-            heard.add(frame[0])
+    heard = {frame[0] for frame in _frames(bus, _LISTENING) if frame[0] <= 0x7FF}
     masters = {cia301.NMT, cia301.SYNC} & heard
     if masters or len({can_id & 0x7F for can_id in heard}) > 1:
         frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
@@ -112,15 +107,13 @@ def _ask(bus: Bus, request: bytes) -> bytes:
 
 
 def _receive(bus: Bus, command: int, timeout: float) -> bytes | None:
-    end = bus.clock() + timeout
-    while (left := end - bus.clock()) > 0.0:
-        frame = bus.recv(left)
-        if frame is not None and frame[0] == cia301.LSS_ANSWER and len(frame[1]) == 8 and frame[1][0] == command:
+    for frame in _frames(bus, timeout):
+        if frame[0] == cia301.LSS_ANSWER and len(frame[1]) == 8 and frame[1][0] == command:
             return frame[1]
     return None
 
 
-def _inquire(bus: Bus, command: int, name: str) -> int:
+def _inquire(bus: Bus, command: int) -> int:
     return int(struct.unpack_from("<I", _ask(bus, bytes((command,))), 1)[0])
 
 
@@ -130,10 +123,10 @@ def _confirmed(bus: Bus, request: bytes, refusal: str) -> None:
         raise BusError(f"{bus.name}: the drive {refusal} (LSS error {answer[1]})")
 
 
-def _wait(bus: Bus, can_id: int, timeout: float) -> bool:
+def _frames(bus: Bus, timeout: float) -> Iterator[Frame]:
+    """Yield the frames that arrive within `timeout` s."""
     end = bus.clock() + timeout
     while (left := end - bus.clock()) > 0.0:
         frame = bus.recv(left)
-        if frame is not None and frame[0] == can_id:
-            return True
-    return False
+        if frame is not None:
+            yield frame
