@@ -218,7 +218,9 @@ class ProvenFriction:
                 tau = tau_m - self._inertia * (omega_m - last) / self._period
                 self._forward = direction > 0
                 if self._has_sensor:
-                    self._take(direction, direction * (tau - tau_j / self.slopes[direction < 0]), way, tau_j)
+                    friction = direction * (tau - tau_j / self.slopes[direction < 0])
+                    error = SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected
+                    self._take(direction, friction, way, error / SURE)
                 else:
                     self._take_elongation(direction, self._r_m * q_m - self._r_j * q_j, q_j, tau, way)
                 return
@@ -258,17 +260,16 @@ class ProvenFriction:
         a, b, c, d, e, f = self._covariance
         v = tau - direction * friction / (scale * (self._compliance + gamma))
         variance = a + q * (2.0 * b + d * q) + v * (2.0 * c + 2.0 * e * q + f * v)
-        self._take(direction, friction, way, 0.0, scale * math.sqrt(variance) if variance > 0.0 else 0.0)
+        self._take(direction, friction, way, scale * math.sqrt(variance) if variance > 0.0 else 0.0)
 
-    def _take(self, direction: int, friction: float, way: float, tau_j: float, deviation: float = -1.0) -> None:
+    def _take(self, direction: int, friction: float, way: float, deviation: float) -> None:
         """Average a reading over the joint travel, and update the bounds.
 
         Args:
             direction: 1 or -1.
             friction: N*m at the motor.
             way: rad, joint travel in this cycle.
-            tau_j: N*m of the joint torque sensor; used only for the default deviation.
-            deviation: N*m, standard deviation of the reading; a negative value selects that of the sensor.
+            deviation: N*m, standard deviation of the reading.
         """
         if not math.isfinite(friction):
             return
@@ -278,8 +279,6 @@ class ProvenFriction:
             smooth = SMOOTH + self._rings * way / self._period
             found = value + way / (smooth + way) * (found - value)
         value = found
-        if deviation < 0.0:
-            deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
         self._read[side], self._spread[side] = value, deviation / self.modelled
         if not self._is_repeated and self._strokes >= REPEATED and direction != self._counted:
             self._repeated += way
