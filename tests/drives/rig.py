@@ -93,7 +93,7 @@ class Foreign:
         self.machine.start()
         self.settings = BusSettings(interface="virtual")
         self.rig: Rig | None = None
-        self.supervisor = Supervisor(SupervisionSettings())
+        self.supervisor = Supervisor(SupervisionSettings(), reports_following=True, shows_late=False, rate=1000.0)
         self.profile = DriveProfile()
         self.axis = AxisNodes(name="knee", drive=DriveSettings(node_id=1))
 
@@ -124,7 +124,7 @@ class Foreign:
         """Bring the drive up and check the startup."""
         report = self.bring_up(profile, reset_faults, **drive)
         late = self.profile.mode_shows == "enabled"
-        self.supervisor = Supervisor(SupervisionSettings(), self.profile.reports_following, late)
+        self.supervisor = Supervisor(SupervisionSettings(), self.profile.reports_following, late, rate=1000.0)
         self.rig = Rig(self.wire.host, self.settings, [self.axis], [self.profile])
         self.rig.start()
         check_startup(self.rig, PERIOD)

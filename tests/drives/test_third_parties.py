@@ -37,7 +37,7 @@ class OnDurand(Foreign):
 
     def start_up(self) -> None:
         bring_up(self.wire.host, self.settings, [self.axis], [self.profile], PERIOD)
-        self.supervisor = Supervisor(SupervisionSettings())
+        self.supervisor = Supervisor(SupervisionSettings(), reports_following=True, shows_late=False, rate=1000.0)
         self.rig = Rig(self.wire.host, self.settings, [self.axis], [self.profile])
         self.rig.start()
         check_startup(self.rig, PERIOD)

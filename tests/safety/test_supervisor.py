@@ -33,7 +33,8 @@ class Bench:
     """
 
     def __init__(self, settings: SupervisionSettings | None = None, **arguments: Any) -> None:
-        self.supervisor = Supervisor(settings or SupervisionSettings(), **arguments)
+        shown = {"reports_following": True, "shows_late": False, "rate": 1000.0}
+        self.supervisor = Supervisor(settings or SupervisionSettings(), **(shown | arguments))
         self.image = Image(
             (NodeHealth(Role.DRIVE, 1, 0.2), NodeHealth(Role.ENCODER, 32, 0.2), NodeHealth(Role.TORQUE_SENSOR, 64, 0.2))
         )

@@ -63,9 +63,9 @@ class Supervisor:
     def __init__(
         self,
         settings: SupervisionSettings,
-        reports_following: bool = True,
-        shows_late: bool = False,
-        rate: float = 1000.0,
+        reports_following: bool,
+        shows_late: bool,
+        rate: float,
     ) -> None:
         """Prepare the supervisor.
 
