@@ -30,7 +30,7 @@ TARGETS: dict[str, tuple[str, ...]] = {  # tests of each module, fast ones first
     "tsa_ctrl/safety/limiter.py": ("tests/safety/test_limiter.py",),
     "tsa_ctrl/safety/supervisor.py": ("tests/safety/test_supervisor.py",),
     "tsa_ctrl/safety/compensation_backoff.py": ("tests/safety/test_compensation_backoff.py",),
-    "tsa_ctrl/control/law.py": ("tests/control/test_law_bounds.py", "tests/control/test_law.py"),
+    "tsa_ctrl/control/law.py": ("tests/control/test_law_model.py", "tests/control/test_law.py"),
 }
 PATIENCE = 3.0  # s beyond twice the duration of the tests without a mutant; a mutant may loop forever
 COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {

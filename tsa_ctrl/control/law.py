@@ -112,7 +112,7 @@ class Law:
         motion: Motion,
         direction: Direction,
         period: float,
-        has_encoder: bool = True,
+        has_encoder: bool,
         joint_angle: JointAngle | None = None,
     ) -> None:
         """Prepare the law; `radii`: r_M, r_J in m; `period` in s; `joint_angle` refines a coarse joint encoder."""
