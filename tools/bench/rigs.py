@@ -1,6 +1,6 @@
 """Tune random rigs with the effects of real rigs by `tsa tune`, and evaluate the controllers on other runs.
 
-Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--rows FILE] [--keep FOLDER] [--json]
+Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--rate 1000] [--rows FILE] [--keep FOLDER] [--json]
 
 Seed and number determine a random rig: friction angle (0.05 to 1.2), curvature profile, motor inertia, delay, noise and
 encoders (12 to 20 bit). A rig also has a random choice of torque ripple, friction of the motor's gear, backlash, an
@@ -88,6 +88,7 @@ class Rig:
     delay: int  # periods
     noise: float  # N*m, of the joint torque sensor
     bits: tuple[int, int]
+    rate: float  # Hz of the loop
     effects: dict[str, dict[str, Any]]
     temperature: list[list[float]]
 
@@ -119,7 +120,7 @@ class Rig:
 
     def controller(self) -> dict[str, Any]:
         """Return the controller's tables, with the true data of encoders and drive and the inaccurate model file."""
-        tables = demo.controller(VIRTUAL, "tune", 1000.0, "nominal.toml", 0.95)
+        tables = demo.controller(VIRTUAL, "tune", self.rate, "nominal.toml", 0.95)
         axis = tables["axis"][0]
         axis["law"] = {"compensation": 0.95, "fade_in": demo.FADE_IN}
         confine(axis, self.torque)
@@ -140,8 +141,8 @@ class Rig:
         (folder / "controller.toml").write_text(tomlkit.dumps(self.controller()), encoding="utf-8")
 
 
-def draw(seed: int, number: int) -> Rig:
-    """Return the rig of this seed and number."""
+def draw(seed: int, number: int, rate: float = 1000.0) -> Rig:
+    """Return the rig of this seed and number, whose loop has the rate `rate` (Hz)."""
     rng = np.random.default_rng([seed, number])
     x = float(rng.uniform(*X))
     stiffness = demo.NOMINAL.axial_stiffness * math.exp(rng.uniform(*np.log(STIFFNESS)))
@@ -163,6 +164,7 @@ def draw(seed: int, number: int) -> Rig:
         delay=int(rng.integers(1, 4)),
         noise=math.exp(rng.uniform(math.log(2e-3), math.log(2e-2))),
         bits=(int(rng.integers(12, 21)), int(rng.integers(12, 21))),
+        rate=rate,
         effects=effects,
         temperature=temperature,
     )
@@ -219,7 +221,7 @@ def trial(rig: Rig, folder: Path) -> Row:
         "x": rig.truth.friction_angle,
         "centre": Profile(rig.profile).centre,
     }
-    row |= {"effects": rig.effects, "bits": [*rig.bits], "inertia": rig.inertia, "delay": rig.delay}
+    row |= {"effects": rig.effects, "bits": [*rig.bits], "inertia": rig.inertia, "delay": rig.delay, "rate": rig.rate}
     options = ("--virtual", "plant-imposed.toml", "--json", "--yes", "--out", "out", *TUNING)
     verb = tsa("tune", "controller.toml", *options)
     run = subprocess.run(verb, cwd=folder, capture_output=True, text=True, check=False)
@@ -289,17 +291,18 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     command.share(parser, "rigs first seed rows processes json", rigs=6)
     parser.add_argument("--keep", type=Path, help="folder for the files of each rig")
+    parser.add_argument("--rate", type=float, default=1000.0, help="Hz of the loop (default: 1000)")
     arguments = parser.parse_args()
     command.seeded(arguments)
     asked = [(arguments.seed, number) for number in range(arguments.first, arguments.first + arguments.rigs)]
-    work = functools.partial(made, arguments.keep)
+    work = functools.partial(made, arguments.keep, arguments.rate)
     rows = command.run_rows(work, asked, lambda row: (row["seed"], row["rig"]), arguments)
     command.print_tables(rows, arguments, lambda: [f"seed {arguments.seed}", *report(rows)])
     return 0
 
 
-def made(keep: Path | None, asked: tuple[int, int]) -> Row:
+def made(keep: Path | None, rate: float, asked: tuple[int, int]) -> Row:
     """Generate, tune and evaluate one rig. With `keep` its files stay in a folder there."""
     seed, number = asked
     with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
-        return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}")
+        return trial(draw(*asked, rate), Path(name) if keep is None else keep / f"rig-{seed}-{number}")
