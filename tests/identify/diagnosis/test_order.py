@@ -8,6 +8,7 @@ from tests.test_layers import graph
 
 DIAGNOSIS = "identify.diagnosis."
 STAGES = (
+    "criteria",
     "data",
     "hypotheses",
     "noise",

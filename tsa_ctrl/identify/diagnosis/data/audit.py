@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.identify.dataset import notes_of
+from tsa_ctrl.identify.diagnosis.criteria import FEWEST
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.energy import is_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
 SHORTEST = 3.0  # s: a slow reversal with the motion before and after it
-FEWEST = 60  # score samples: two and a half in each of the blocks (frame.BLOCKS) that all tests use
 CLEAR = 6.0  # times the velocity noise: faster motion is not noise
 LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # least shares of the time; SHORTEST s in all are also sufficient
 # Share of the samples of a torque that repeat the previous one: a larger share was held, because noise changes the last
@@ -22,7 +22,7 @@ LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # least shares of the time; SHORTEST s i
 STUCK = 0.5
 FEWEST_HELD = 20  # fewest samples at the largest value that indicate a limit rather than chance
 HELD, MOVED = 0.3, 0.05  # s, and share of the range: the torque of a moving joint changes earlier
-SPEED_BINS, LOAD_BINS = 8, 8  # bins of the picture: few enough to read at a glance; no verdict depends on them
+BINS = 8  # bins of the picture: few enough to read at a glance; no verdict depends on them
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Audit:
     moving: float  # share of the time
     reversals: int
     both_directions: bool
-    occupancy: Array  # (SPEED_BINS, LOAD_BINS) share of samples over (velocity, motor torque)
+    occupancy: Array  # (BINS, BINS) share of samples over (velocity, motor torque)
     speed_edges: Array
     load_edges: Array
     notes: tuple[str, ...]
@@ -65,9 +65,9 @@ def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) ->
         int(np.count_nonzero(np.diff(_steady(run.signals.omega_j, run.velocity_noise)))) for run in frame.runs
     )
     forward, backward = float(np.mean(moving & (omega > 0.0))), float(np.mean(moving & (omega < 0.0)))
-    speed_edges = np.linspace(-1.05 * max(fast, 1e-9), 1.05 * max(fast, 1e-9), SPEED_BINS + 1)
+    speed_edges = np.linspace(-1.05 * max(fast, 1e-9), 1.05 * max(fast, 1e-9), BINS + 1)
     top = max(float(np.quantile(np.abs(tau_m), 0.99)), 1e-9) * 1.05
-    load_edges = np.linspace(-top, top, LOAD_BINS + 1)
+    load_edges = np.linspace(-top, top, BINS + 1)
     occupancy = np.histogram2d(omega, tau_m, bins=(speed_edges, load_edges))[0] / max(len(omega), 1)
     return Audit(
         seconds=frame.seconds,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.criteria import LOWEST_CUTOFF, REVERSAL, VELOCITY_BAND
 from tsa_ctrl.identify.motion import SURE, directed, with_sure_signs
 from tsa_ctrl.identify.smoothing import Smoothed
 from tsa_ctrl.identify.smoothing.averaged import band_densities, bands, plateau
@@ -22,14 +23,10 @@ from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass
 
-LOWEST = 8.0  # Hz, lowest cut-off: joints move below 5 Hz and reverse within tens of milliseconds
 MARGIN = 8.0  # ratio of spectral density to noise floor above which a frequency counts as motion
 SEGMENT = 4.0  # s, length of one periodogram
 SHARP = 100.0  # Hz, cut-off of the motor torque, which jumps at a reversal; also the highest cut-off of angles
-# Hz, highest cut-off of a recorded velocity: five times the joint's bandwidth, so that reversals keep their time
-VELOCITY_HIGHEST = 40.0
 STANDSTILL = 0.05  # s at velocity 0 after which the joint is at standstill
-RINGING = 0.1  # s next to a standstill or around a jump in which the velocity is not filtered
 JUMP = 7.0  # standard deviations of the velocity noise: noise alone does not reach this
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0, in steps of its resolution
 DERIVED = (("q_j", "omega_j"), ("q_m", "omega_m"))  # angles, and the velocities derived from them unless recorded
@@ -55,7 +52,7 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
         column = getattr(signals, name)
         if column is None or name in clean or name in log.derived or (name not in log and "omega_m" in log.derived):
             continue
-        highest = VELOCITY_HIGHEST if name.startswith("omega") else SHARP
+        highest = VELOCITY_BAND if name.startswith("omega") else SHARP
         smooth, left, cutoff = _low_passed(column, log.period, highest)
         if name == "omega_j":
             if cutoff is not None:
@@ -115,7 +112,7 @@ def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of long standstills and their surroundings, where a filter would ring across velocity 0."""
     still = omega == 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    margin = round(RINGING / period)
+    margin = round(REVERSAL / period)
     out = np.zeros(len(omega), dtype=np.bool_)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         if (stop - start) * period > STANDSTILL:
@@ -127,7 +124,7 @@ def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
     """Return a mask (n,) around jumps of a velocity, where the filter removes far more than noise and distorts them."""
     noise = float(np.median(np.abs(taken))) / 0.6745
     jumped = np.abs(taken) > JUMP * noise if noise > 0.0 else np.zeros(len(taken), dtype=np.bool_)
-    margin = min(round(0.5 * RINGING / period), (len(taken) - 1) // 2)
+    margin = min(round(0.5 * REVERSAL / period), (len(taken) - 1) // 2)
     return np.asarray(np.convolve(jumped, np.ones(2 * margin + 1), mode="same") > 0.5)
 
 
@@ -146,7 +143,7 @@ def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, 
     if len(y) < 128 or not np.ptp(y) > 0.0:
         return y, 0.0, None
     frequency, density, edge, floor = _spectrum(y, period)
-    cutoff = min(highest, max(LOWEST, 1.5 * edge))
+    cutoff = min(highest, max(LOWEST_CUTOFF, 1.5 * edge))
     if cutoff > 0.2 / period:
         return y, float(np.sqrt(floor * 0.5 / period)), None
     passed = density[(frequency > 0.5 * cutoff) & (frequency < cutoff)]  # averaged noise is lower above the cut-off

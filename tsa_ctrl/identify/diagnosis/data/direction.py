@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from tsa_ctrl.identify.diagnosis.criteria import CERTAIN, FEWEST, REVERSAL, VELOCITY_BAND
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.data.split import Split
+from tsa_ctrl.identify.three_errors import UNKNOWN
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import hold_direction
@@ -59,15 +61,10 @@ def joined(mask: Mask, window: int) -> Mask:
     return inside
 
 
-UNKNOWN = 2.5  # times the error of a velocity: the direction of a slower motion is unknown
-LONG = 0.1  # s: at ordinary speed a joint reverses in less time, and a motion between two rests lasts longer
 TURNS = 1.0  # s, approximate time between reversals; it enters as a logarithm: a factor of 3 changes the log odds by 1
 SURE = 50.0  # log odds of a direction that the velocity shows
-BAND = 40.0  # Hz, bandwidth of a recorded velocity after its low-pass: its noise is independent after half a period
-CREEPING = 4.0  # standard errors by which the median of a slow motion must differ from 0
 KNOWN = math.log(1000.0)  # log odds above which a direction is known: a sample in a thousand may be wrong
-FITS = 2.0  # standard deviations, RMS over LONG or over a rest, by which the torque of a direction may be off
-FEWEST = 60  # fewest score samples that must remain for the fit
+FITS = 2.0  # standard deviations, RMS over REVERSAL or over a rest, by which the torque of a direction may be off
 
 
 def with_hidden_direction(data: Split, model: Model) -> Split:
@@ -108,7 +105,7 @@ def _masked(data: Split, hidden: Sequence[NDArray[np.bool_]]) -> Split:
 
 def _long_rest(run: Run) -> NDArray[np.bool_]:
     """Return True (n,) in long stretches in which an encoder shows that the joint rests."""
-    return long(run.signals.omega_j == 0.0, max(1, round(LONG / run.signals.period)))
+    return long(run.signals.omega_j == 0.0, max(1, round(REVERSAL / run.signals.period)))
 
 
 def _sticks(slow: NDArray[np.bool_], off: Array) -> NDArray[np.bool_]:
@@ -134,7 +131,7 @@ def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
         slow &= omega != 0.0
         if "omega_j" in run.raw.derived:
             return np.zeros(len(omega), dtype=np.bool_)
-    least = max(1, round(LONG / run.signals.period))
+    least = max(1, round(REVERSAL / run.signals.period))
     around = np.pad(long(slow, least), least, mode="edge")  # a log that begins with slow motion was slow before it
     hidden = joined(around, least)[least:-least]
     return hidden & ~_creeping(run, hidden) if rigid else hidden
@@ -145,8 +142,9 @@ def _creeping(run: Run, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     omega, error = run.signals.omega_j, max(run.velocity_noise, np.finfo(np.float64).tiny)
     out = np.zeros(len(hidden), dtype=np.bool_)
     for start, stop in intervals(hidden):
-        count = (stop - start) * min(1.0, 2.0 * BAND * run.signals.period)
-        out[start:stop] = abs(float(np.median(omega[start:stop]))) > CREEPING * error * math.sqrt(0.5 * math.pi / count)
+        # The noise of a low-passed velocity is independent after half a period of its band.
+        count = (stop - start) * min(1.0, 2.0 * VELOCITY_BAND * run.signals.period)
+        out[start:stop] = abs(float(np.median(omega[start:stop]))) > CERTAIN * error * math.sqrt(0.5 * math.pi / count)
     return out
 
 
@@ -168,7 +166,7 @@ def _odds(frame: Frame, hidden: Sequence[NDArray[np.bool_]], sure: NDArray[np.bo
         forward, backward = (run.target - _features(run, np.full(len(s), sign)) @ factors for sign in (1.0, -1.0))
         by_torque = (backward**2 - forward**2) / (2.0 * variance * alike * run.bin)
         speed = s.omega_j / max(run.velocity_noise, np.finfo(np.float64).tiny)
-        by_velocity = (log_ndtr(speed) - log_ndtr(-speed)) * min(1.0, 2.0 * BAND * s.period)
+        by_velocity = (log_ndtr(speed) - log_ndtr(-speed)) * min(1.0, 2.0 * VELOCITY_BAND * s.period)
         evidence = np.where(each, by_torque + by_velocity, SURE * np.sign(s.omega_j))
         odds = _smoothed(evidence, s.period / TURNS)
         out.append((odds, np.where(odds > 0.0, forward, backward) / math.sqrt(variance)))
@@ -221,7 +219,7 @@ def _directed(run: Run, hidden: NDArray[np.bool_], odds: Array, off: Array) -> R
     whole = run.full.omega_j.copy()
     fine, sign = np.repeat(hidden, factor), np.repeat(odds, factor)
     whole[: len(fine)] = np.where(fine, np.copysign(np.abs(whole[: len(fine)]), sign), whole[: len(fine)])
-    near = max(1, round(LONG / run.signals.period))
+    near = max(1, round(REVERSAL / run.signals.period))
     turns = np.append(np.diff(np.sign(odds)) != 0.0, False)
     fits = uniform_filter1d(off**2, near) < FITS**2
     known = hidden & (np.abs(odds) > KNOWN) & fits & ~binary_dilation(turns, np.ones(2 * near + 1, dtype=np.bool_))

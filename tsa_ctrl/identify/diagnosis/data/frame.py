@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.criteria import BLOCKS
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, last_reversal
 
-BLOCKS = 24  # number of blocks for block-robust statistics
 SHORT_BIN = 8  # samples below which column sums take a quarter of the time of means over rows, with equal results
 
 

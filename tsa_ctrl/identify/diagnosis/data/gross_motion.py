@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BEYOND
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.data.prepare import narrowed
 from tsa_ctrl.identify.diagnosis.data.split import Split
@@ -24,9 +25,6 @@ from tsa_ctrl.model.effects.search import geometric
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, TendonSheath
 
-# Student's t with 23 degrees of freedom: 0.3 % by chance. The largest value in 17 blind logs without this friction was
-# 1.9.
-SURE = 3.0
 # Number of presliding distances: their ratio is 1.34, so that the nearest one is off by 16 % and its friction by a
 # tenth at most
 DISTANCES = 24
@@ -53,7 +51,7 @@ def along_gross_motion(data: Split, model: Model) -> Split:
         frame, best = slower, left
     fallen = np.log(own / best)
     deviation = float(np.std(fallen, ddof=1)) / math.sqrt(len(fallen))
-    return dataclasses.replace(data, frame=frame) if float(np.mean(fallen)) > SURE * deviation else data
+    return dataclasses.replace(data, frame=frame) if float(np.mean(fallen)) > BEYOND * deviation else data
 
 
 def _widest(frame: Frame) -> float:

@@ -20,6 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BEYOND, NEGLIGIBLE
 from tsa_ctrl.model.effects.search import Coordinate, Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Effects, GearedDrive, Model, RigidDrive, TendonSheath
@@ -27,10 +28,6 @@ from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
 WIDE_PRIOR = 20.0  # factor by which recalibration may move if it ignores [uncertainty], to test for wrong parameters
-
-
-STANDSTILL = 1e-6  # rad/s; a joint that moves is faster
-MOVES = 3.0  # times the velocity noise; a joint whose 95th percentile of the speed is smaller is locked
 
 
 class Base(Protocol):
@@ -173,6 +170,7 @@ class DriveBase:
 def base_of(model: Model, scales: Scales) -> Base:
     """Return the base of a model file, scaled to these logs."""
     if not isinstance(model, TendonSheath):
+        # A joint whose 95th percentile of the speed does not exceed the velocity noise is locked.
         sizes = {
             "efficiency": 1.0,
             "inertia": scales.torque / scales.acceleration,
@@ -180,7 +178,7 @@ def base_of(model: Model, scales: Scales) -> Base:
             "viscous_friction": scales.torque / scales.speed,
             "torque_offset": scales.torque,
         }
-        moves = isinstance(model, RigidDrive) or scales.speed > max(STANDSTILL, MOVES * scales.speed_noise)
+        moves = isinstance(model, RigidDrive) or scales.speed > max(NEGLIGIBLE, BEYOND * scales.speed_noise)
         return DriveBase(model, sizes, moves)
     return TendonBase(model)
 

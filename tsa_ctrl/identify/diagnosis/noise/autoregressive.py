@@ -17,6 +17,7 @@ from scipy.fft import next_fast_len, rfft
 from scipy.linalg import cholesky, solve_toeplitz, toeplitz
 from scipy.linalg.lapack import dtrtrs
 
+from tsa_ctrl.identify.three_errors import CONTINUED
 from tsa_ctrl.model.functions import Array
 
 # s, length of the longest whitening filter: slower noise is drift, for which there is a separate test
@@ -28,7 +29,6 @@ FLOOR = 0.04  # share of the mean density: lower bound of a band's density, whic
 FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep: its level then has an error of 45 %
 # Hz, band whose slope is extrapolated downwards: a log has too few periods below it, and joints shake above it
 REFERENCE = (0.7, 5.0)
-STEEPEST = 1.2  # largest exponent of 1/f noise: electronics have 1; motion and effects have steeper slopes
 LOWEST = 0.15  # Hz, below which the density is flat: a log of seconds contains only a part of a slower wave
 FEW_COLUMNS = 4  # number of columns below which direct sums over a hundred taps are faster than Fourier transforms
 TOGETHER = 8  # columns transformed at a time, so that the buffers fit into the cache
@@ -201,7 +201,7 @@ def _continued(frequency: Array, density: Array) -> Array:
     if np.count_nonzero(band) < 4:
         return density
     slope = float(np.polyfit(np.log(frequency[band]), np.log(density[band]), 1, w=frequency[band] ** -0.5)[0])
-    slope = min(0.0, max(slope, -STEEPEST))
+    slope = min(0.0, max(slope, -CONTINUED))
     first = int(np.argmax(band))
     least = density[first] * (np.maximum(frequency[:first], LOWEST) / frequency[first]) ** slope
     return np.concatenate([np.maximum(density[:first], least), density[first:]])

@@ -25,11 +25,13 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import erf
 
-from tsa_ctrl.identify.diagnosis.data.direction import LONG, intervals
+from tsa_ctrl.identify.diagnosis.criteria import LOWEST_CUTOFF, REVERSAL, ROUNDING
+from tsa_ctrl.identify.diagnosis.data.direction import intervals
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
 from tsa_ctrl.identify.motion import SURE
+from tsa_ctrl.identify.three_errors import UNKNOWN
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.memory import TorqueSensorLag, TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
@@ -40,17 +42,13 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 
 # Factors of the velocity noise: as estimated, and for an estimate that is too low. Without them, 31 of 40 null logs had
 # a false Stribeck effect.
-NOISE_FACTORS = (1.0, 2.5)
-UNKNOWN = 2.5  # times the velocity noise: the direction of a slower motion is uncertain
+NOISE_FACTORS = (1.0, UNKNOWN)
 FAST = (0.5, 1.5, 6.0)  # Hz, edges above which the content of the motor torque may be noise
 FASTEST = (3.0, 12.0, 25.0)  # Hz, additional edges for tests that search only for structure
-STEP_CUTOFF = 8.0  # Hz, separates steps from noise: the lowest cut-off for joint motion (denoise.LOWEST)
 STEEP = 3.0  # times the rate of change that is exceeded for a fifth of the time
 STEP_MARGIN = 0.04  # s, five score samples around a step, in which it is neither slow nor noise after the filter
 MOST_COLUMNS = 800  # the cost of a projection grows with its square; further moments share a column
-RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
 TAIL = 0.05  # share of the maximum of a moment after a slow sensor: smaller values are ignored
-RIDGE = 1e-9  # share of a column's square: it keeps nearly equal columns separable
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ class Nuisance:
             short = csc_matrix(
                 (np.concatenate(data), (np.concatenate(rows), np.concatenate(places))), shape=(count, used)
             )
-            gram = (short.T @ short).toarray() + RIDGE * np.eye(used)
+            gram = (short.T @ short).toarray() + ROUNDING * np.eye(used)
             bare = Projection(short, cho_factor(gram), np.zeros((count, 0)))
         else:
             bare = Projection(None, None, np.zeros((count, 0)))
@@ -177,7 +175,7 @@ def fast(frame: Frame, edge: float) -> list[Array]:
 
 def _without_steps(y: Array, period: float) -> Array:
     """Return `y` held constant where it changes much faster than usual, so that only slow changes and noise remain."""
-    rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
+    rate = np.abs(np.gradient(low_pass(y, period, LOWEST_CUTOFF)))
     steep = rate > STEEP * np.quantile(rate, 0.8)
     margin = round(STEP_MARGIN / period)
     steep = np.convolve(steep, np.ones(2 * margin + 1), mode="same") > 0.5
@@ -232,7 +230,7 @@ def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     out |= _by_chance(out, np.abs(omega) > SURE * run.velocity_error, run.signals.period)
     still = np.append(omega == 0.0, False)
     late = np.zeros(len(omega), dtype=np.bool_)
-    margin = max(1, round(RESTART / run.signals.period))
+    margin = max(1, round(REVERSAL / run.signals.period))  # an encoder has not counted yet
     for stop in np.flatnonzero(still[:-1] & ~still[1:]):
         late[max(0, stop - margin) : stop + 1] = True
     out &= ~still[:-1] | late  # a standstill is certain, except for its end
@@ -249,7 +247,7 @@ def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: floa
     """
     out = np.zeros(len(unknown), dtype=np.bool_)
     for start, stop in intervals(~unknown):
-        out[start:stop] = (stop - start) * period < LONG and not sure[start:stop].any()
+        out[start:stop] = (stop - start) * period < REVERSAL and not sure[start:stop].any()
     return out
 
 

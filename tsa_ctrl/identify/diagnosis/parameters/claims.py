@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import BLOCKS, LEAST_GAIN
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
@@ -19,7 +20,6 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 )
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.parameters.formula import (
-    LEAST_GAIN,
     Formula,
     formula_of_what_is_left,
     with_direction,
@@ -56,7 +56,6 @@ from tsa_ctrl.model.parameters import Model
 # A true cause leaves only noise, and no formula removes half of that.
 FAR = 4.0
 SAME = 0.99  # least correlation at which formula and cause are the same: they differ by 2 % of the mean square
-BLOCKS = 24  # number of blocks of the held-out samples: as many as for the evidence of a cause
 
 
 def stand_in(
@@ -236,7 +235,7 @@ def _searched(
         return found[0]
     errors = [left_out_error(each.problem, each.fitted) for each, _ in found]
     best = int(np.argmin(errors))
-    return found[best] if errors[best] < CLEARLY_BETTER * errors[0] else found[0]
+    return found[best] if errors[best] < (1.0 - LEAST_GAIN) * errors[0] else found[0]
 
 
 def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Finding | None:
@@ -254,8 +253,6 @@ def _dropped(before: Sequence[str], after: Sequence[str]) -> list[str]:
 
 
 # Determine the alternatives of each cause, and drop the causes that these logs do not support.
-
-CLEARLY_BETTER = 0.9  # ratio of the mean squares: 5 % of the RMS, which is visible in a plot of both
 
 
 def alternatives(
@@ -298,7 +295,7 @@ def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | N
             if rival.name != SIMPLER.get(group.name) or not _takes_the_place(rival):
                 continue
             error = simulation_error(problem, rival.fitted, reversals)
-            if CLEARLY_BETTER * error <= simulation_error(problem, fitted, reversals):
+            if (1.0 - LEAST_GAIN) * error <= simulation_error(problem, fitted, reversals):
                 return rival.fitted
     return None
 

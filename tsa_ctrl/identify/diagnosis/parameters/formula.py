@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.criteria import CERTAIN, FOLDS, LEAST_GAIN, LEAST_SHARE, NEGLIGIBLE, ROUNDING
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, models_reversals
 from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import (
     CONSTANTS,
-    SINGULAR,
     TRIAL,
     Sought,
     refitted,
@@ -34,8 +34,7 @@ from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import (
     with_custom,
 )
 from tsa_ctrl.identify.diagnosis.parameters.held_out import rms_over
-from tsa_ctrl.identify.diagnosis.parameters.terms import FURTHER, Term, terms, time_terms
-from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, FOLDS
+from tsa_ctrl.identify.diagnosis.parameters.terms import CYCLES, FURTHER, Term, terms, time_terms
 from tsa_ctrl.identify.quantity import Quantity, half_width
 from tsa_ctrl.model.effects.custom import NAMES
 from tsa_ctrl.model.expression import parse
@@ -55,7 +54,6 @@ LAG, RING, DAHL = "(tau - lag(tau, {0}))", "(tau - ring(tau, {0}, {1}))", "dahl(
 # Shortest and longest time constant of a lag (s), and their number: from a sensor filter to the slowest creep that is
 # visible in a log of a minute
 TIMES = (0.02, 5.0, 9)
-LONGER = 3.0  # least duration of a log as a multiple of the time constant
 FREQUENCIES = (2.0, 25.0)  # Hz: slower changes are the motion itself, and faster ones are removed by denoising
 FINE = 1.06  # ratio of two frequencies: within half of it, oscillations with a damping of 0.03 are still correlated
 # Damping ratios: steel on a soft mount up to hardly any overshoot; values in between are found by refinement
@@ -64,8 +62,6 @@ FEWEST = 4.0  # score samples in a period of an oscillation
 # Least and greatest hysteresis, as shares of the RMS torque, and their number. A wider hysteresis is indistinguishable
 # from a straight line, and a narrower one from a dead zone
 WIDTHS = (0.05, 1.6, 6)
-# Least share of a column's square that remains after projection on the others: with less, the column duplicates them
-TWINS = 1e-6
 HALVINGS = 6  # halvings of the distance between two grid points: the best point is then known to a hundredth of it
 
 
@@ -119,7 +115,7 @@ def memory_terms(
         own = column(text.format(*place))[fitting]
         whole = float(own @ own)
         beside = whole - float(np.sum(np.square(basis.T @ own)))  # the part of `whole` that is orthogonal to the others
-        return float((own @ left) ** 2 / beside) if beside > TWINS * whole else 0.0
+        return float((own @ left) ** 2 / beside) if beside > NEGLIGIBLE * whole else 0.0
 
     out = []
     for grid in _grids(problem):
@@ -143,7 +139,7 @@ def _grids(problem: Problem) -> list[Grid]:
     frame = problem.frame
     seconds = max(part.stop - part.start for part in frame.slices) * frame.period
     low, high, count = TIMES
-    times = [(float(T),) for T in np.geomspace(low, high, count) if seconds > LONGER * T]
+    times = [(float(T),) for T in np.geomspace(low, high, count) if seconds > CYCLES * T]
     out = [Grid("lag", LAG, times, ((high / low) ** (1.0 / (count - 1)),))]
     low, high = FREQUENCIES
     high = min(high, 1.0 / (FEWEST * frame.period))
@@ -180,10 +176,6 @@ def _around(grid: Grid, place: tuple[float, ...], steps: Array) -> Iterator[tupl
 
 
 MOST_TERMS = 3  # largest number of terms that a reader recognises as a law; a wave with its phase is one term
-# Share of the remaining mean square that a term must remove on other folds: less is not worth a line in a file
-LEAST_PART = 0.05
-# Share of the mean square on held-out data for a formula to be reported: less is not visible in a plot
-LEAST_GAIN = 0.1
 # The same for a formula of the time: steps and exponentials fit a third of any random walk
 LEAST_IN_TIME = 0.5
 
@@ -305,7 +297,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
         both = np.column_stack([tangents, columns[:, chosen]])
         values, deviations = regressed(both[fitting], residual[fitting], blocks)
         sure = (np.abs(values) / np.maximum(deviations, 1e-300))[tangents.shape[1] :]
-        if np.all(sure >= BLOCK_T):
+        if np.all(sure >= CERTAIN):
             break
         del chosen[int(np.argmin(sure))]  # for example the sine or cosine that a wave's phase does not need
     if not chosen:
@@ -399,7 +391,7 @@ def _selected(
 ) -> list[int]:
     """Return the numbers of the parts of the selected terms, the best term first.
 
-    Up to MOST_TERMS terms are added. Each must remove LEAST_PART of the remaining squares on folds that it was not
+    Up to MOST_TERMS terms are added. Each must remove LEAST_SHARE of the remaining squares on folds that it was not
     fitted on.
 
     Args:
@@ -416,7 +408,7 @@ def _selected(
     slopes = np.array([both[folds == k].T @ residual[folds == k] for k in range(number)])
     chosen = list(range(first))
     reached = max(_cross_validated(grams, slopes, chosen), 0.0)
-    least = LEAST_PART * (float(residual @ residual) - reached)
+    least = LEAST_SHARE * (float(residual @ residual) - reached)
     for _ in range(MOST_TERMS):
         free = [[first + i for i in unit] for unit in units if first + unit[0] not in chosen]
         gains = [_cross_validated(grams, slopes, [*chosen, *unit]) for unit in free]
@@ -436,6 +428,6 @@ def _cross_validated(grams: Array, slopes: Array, chosen: Sequence[int]) -> floa
     whole, right = gram.sum(axis=0), slope.sum(axis=0)
     gained = 0.0
     for own, part in zip(gram, slope, strict=True):
-        weights = np.linalg.solve(whole - own + SINGULAR * np.eye(len(chosen)), right - part)
+        weights = np.linalg.solve(whole - own + ROUNDING * np.eye(len(chosen)), right - part)
         gained += float(2.0 * weights @ part - weights @ own @ weights)
     return gained

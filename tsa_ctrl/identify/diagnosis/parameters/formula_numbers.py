@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import ROUNDING
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, bounded_step
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.parameters.terms import ONE, Term
@@ -18,7 +19,6 @@ from tsa_ctrl.model.parameters import Model
 
 # Coefficient at which a term's response is computed; the response is linear except for friction of the load
 TRIAL = 1e-3
-SINGULAR = 1e-9  # share of a column's square, added to the normal equations because terms may be nearly identical
 # Largest number of steps for all constants, each from the last result. A base that has absorbed much of the formula is
 # far from its final values and is not linear in friction and pretension. Each Gauss-Newton step doubles the number of
 # correct digits.
@@ -99,7 +99,7 @@ def refitted(problem: Problem, learned: Fit, sought: Sought, fitting: NDArray[np
         every = tangents_of(problem, learned, at[:split], sought.custom(at[split:]), now)
         own = sought.tangents(problem, hypothesis.model(at[:split]), at[split:], now)
         left = target - now[fitting]
-        step = bounded_step(np.column_stack([every, own])[fitting], left, low - at, high - at, SINGULAR)
+        step = bounded_step(np.column_stack([every, own])[fitting], left, low - at, high - at, ROUNDING)
         for _ in range(HALVINGS):
             further = simulated(at + step)
             if np.sum((target - further[fitting]) ** 2) < np.sum(left**2):

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import LEAST_SHARE, ROUNDING
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import ENOUGH, Fit
@@ -31,8 +32,7 @@ from tsa_ctrl.identify.three_errors import known_direction, pooled, sensor_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-ROUNDING = 1e-9  # share of the gain: a smaller loss is rounding; 4e-15 was observed
-MOST_STRUCTURE = 0.95  # share of the mean square: some of the residual is noise
+MOST_STRUCTURE = 1.0 - LEAST_SHARE  # share of the mean square: some of the residual is noise
 # Mean square change of the torque by a cause in the held-out samples, relative to the fitted ones. Below half, held-out
 # logs contain little information about the cause. For example, at the middle one of five loads, recalibration has the
 # same effect as friction that grows with the load. With half or more, a true cause can show no loss only if the

@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import CERTAIN, LEAST_GAIN, UNDOUBTED
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
@@ -28,12 +29,9 @@ from tsa_ctrl.model.functions import Array
 POINTS = 41
 FIRST_SPAN = 2.0  # steps of the coordinate to either side; the span is doubled if this is too narrow
 DOUBLINGS = 6  # number of spans tried, each twice the last: beyond 32 times the first one, the parameter is unknown
-HIGH_ENOUGH = 60.0  # rise above the minimum at which a profile may end, white units: 7 standard deviations
 DRAWS = 400  # resamples: they determine a standard deviation to 4 %
-# Least half span of a profile in standard deviations, if these are known: hardly any of 400 resamples lies beyond it
-REACH = 4.0
 # Largest ratio of the sum of squares after and before refinement: a larger one belongs to other parameters
-MOST_RSS = 1.1
+MOST_RSS = 1.0 + LEAST_GAIN
 UNEVEN = 0.5  # share of a grid step: jumps of single samples limit the smoothness of a profile
 
 
@@ -52,7 +50,7 @@ def profile_refined(problem: Problem, reported: Refit) -> Refit:
     clusters = (bare.blocks, states_of(bare)) if reported.structured else (bare.blocks,)
     for i in nonsmooth:
         before = float(np.sqrt(max(covariance[i, i], 0.0)))
-        best, deviation = _resampled(bare, found, int(i), clusters, REACH * before if reported.structured else 0.0)
+        best, deviation = _resampled(bare, found, int(i), clusters, CERTAIN * before if reported.structured else 0.0)
         covariance[i, :] *= deviation / before if before > 0.0 else 0.0
         covariance[:, i] = covariance[i, :]
         covariance[i, i] = deviation**2
@@ -98,7 +96,7 @@ def _grid(found: Fit, index: int, total: Callable[[float], float], reach: float)
     coordinate = found.hypothesis.coordinates[index]
     middle = float(found.point[index])
     span = max(FIRST_SPAN * coordinate.step, reach)
-    enough = total(middle) + HIGH_ENOUGH
+    enough = total(middle) + UNDOUBTED
     for _ in range(DOUBLINGS):
         low, high = max(coordinate.low, middle - span), min(coordinate.high, middle + span)
         if all(end in (coordinate.low, coordinate.high) or total(end) > enough for end in (low, high)):

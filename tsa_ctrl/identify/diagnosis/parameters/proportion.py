@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.calibrate.keep_split import keep_split
+from tsa_ctrl.identify.diagnosis.criteria import LEAST_SHARE, NEGLIGIBLE
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
@@ -25,12 +26,10 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import known_direction
 from tsa_ctrl.model.parameters import TendonSheath
 
-BENDING_VARIED = 0.05  # share of the wrap angle: with a smaller variation there is only one configuration
 PARTED = 0.5  # share of [uncertainty]: x and T_p are reported separately if their intervals are narrower
 # Largest increase of the RMS error: a slope that reduces the error by more contains information. In the demo, where
 # shaking distorts the slope, it reduces the error by 3 %.
-MOST_COST = 0.05
-AT_BOUND = 1e-6  # distance in ln: a fit that a bound holds lies on the bound
+MOST_COST = LEAST_SHARE
 SPLIT = ("friction_angle", "pretension")
 
 
@@ -72,7 +71,7 @@ def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
     if not isinstance(model, TendonSheath):
         return ()
     angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
-    if not angles or float(np.ptp(np.concatenate(angles))) <= BENDING_VARIED * model.bending_angle:
+    if not angles or float(np.ptp(np.concatenate(angles))) <= LEAST_SHARE * model.bending_angle:
         return ()
     widths = (model.friction_angle_uncertainty, model.pretension_uncertainty)
     quantities = base_quantities(reported)
@@ -94,7 +93,7 @@ def at_bounds(reported: Refit) -> Mapping[str, tuple[float, float, float, str]]:
     for coordinate, value in zip(fitted.hypothesis.base.coordinates(), fitted.point, strict=False):
         size, unit = nominal[coordinate.name]
         low, high = (size * math.exp(edge) for edge in (coordinate.low, coordinate.high))
-        if min(value - coordinate.low, coordinate.high - value) <= AT_BOUND:
+        if min(value - coordinate.low, coordinate.high - value) <= NEGLIGIBLE:
             out[coordinate.name] = (size * math.exp(float(value)), low, high, unit)
     return out
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import BY_NOISE, MOST_SPREAD
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
-from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless
+from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import companion_steps
 from tsa_ctrl.identify.quantity import NOISE, Quantity, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE
@@ -28,9 +29,6 @@ from tsa_ctrl.model.effects.search import Value
 from tsa_ctrl.model.effects.specification import Parameter
 from tsa_ctrl.model.functions import Array
 
-# Largest factor by which blocks widen an interval: 24 blocks of noise alone reach 1.4. A single burst could reach any
-# value, but it is detected separately
-WIDEST = 3.0
 # Largest step of a base coordinate whose deviation is unknown: a tenth of x or T_p, within which quantities are still
 # linear
 WIDEST_STEP = 0.1
@@ -165,8 +163,8 @@ def with_companions(problem: Problem, result: Refit, catalogue: Catalogue) -> Re
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, structured: bool) -> Array:
     """Return the covariance (k, k) of the coordinates of `jacobian` (m, k) under coloured noise.
 
-    The standard deviations are widened if blocks differ by more than that noise, by a factor of at most WIDEST. A log
-    has few blocks that are longer than its slow noise, so blocks alone would underestimate the uncertainty. With
+    The standard deviations are widened if blocks differ by more than that noise, by a factor of at most MOST_SPREAD. A
+    log has few blocks that are longer than its slow noise, so blocks alone would underestimate the uncertainty. With
     `structured`, states of motion are clusters as well.
     """
     bread = np.asarray(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10), dtype=np.float64)
@@ -178,7 +176,7 @@ def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, st
     np.add.at(scores, plain.blocks, jacobian * best.residual[:, None])
     blocked = bread @ (scores.T @ scores * number / max(number - 1, 1)) @ bread
     ratio = np.diag(blocked) / np.maximum(np.diag(coloured), 1e-300)
-    wider = np.sqrt(np.clip(ratio, 1.0, WIDEST**2))
+    wider = np.sqrt(np.clip(ratio, 1.0, MOST_SPREAD**2))
     covariance = np.asarray(coloured * np.outer(wider, wider))
     return widened(covariance, jacobian @ bread, best.residual, states_of(plain)) if structured else covariance
 

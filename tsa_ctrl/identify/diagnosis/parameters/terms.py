@@ -24,6 +24,7 @@ from scipy.fft import next_fast_len
 
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.residual.features import direction_and_load
+from tsa_ctrl.identify.diagnosis.rivals.sensor import DEAD_ZONES
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 
@@ -35,9 +36,6 @@ FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
 # Effect of a dead zone on a torque: it removes the whole torque up to a limit, and a constant beyond
 DEAD_ZONE = "(abs(tau + {0}) - abs(tau - {0}))"
-# Limits as shares of the RMS torque: a narrower dead zone acts like an offset of either sign, and a wider one removes
-# most of the torque
-DEAD_ZONES = (0.1, 0.3)
 CUT = "sign(tau)*(abs(tau) - {0} + abs(abs(tau) - {0}))"  # Torque beyond a limit, which saturation removes
 CUTS = (0.05, 0.2)  # shares of the samples beyond the limit: fewer show no law, and more are not the limit of a sensor
 # Friction at one place: a bump as wide as the distance between two of PLACES positions over the range of the angle
@@ -124,7 +122,7 @@ WIDTH = 0.05  # s, width of a step: shorter than a reversal, and long enough to 
 MOMENTS = 200
 END = 0.1  # share of a log at either end: a step with less data on one side fits only that part of the log
 WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
-CYCLES = 3.0  # least number of periods of a wave in a log: fewer are drift
+CYCLES = 3.0  # least number of periods of a wave, or of time constants of a lag, in a log: fewer are drift
 FASTEST = 3.0  # Hz: faster oscillations are ripple and ringing, which have separate terms
 # Highest frequency as a share of the score rate: above half of that rate, a wave appears as a slower alias
 MOST_OF_RATE = 0.4

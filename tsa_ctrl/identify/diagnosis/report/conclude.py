@@ -7,9 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import LEAST_GAIN
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
-from tsa_ctrl.identify.diagnosis.parameters.formula import LEAST_GAIN, Formula
+from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.proportion import SPLIT, at_bounds, parted
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
 from tsa_ctrl.identify.diagnosis.report.details import Outcome, details

@@ -12,15 +12,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import LEAST_SHARE
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
-from tsa_ctrl.identify.diagnosis.residual.dependence import LEAST_SHARE, Finding
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
+from tsa_ctrl.identify.three_errors import CONTINUED
 from tsa_ctrl.model.functions import Array
 
 STEP_TIMES = 60  # possible times of a step in all runs, at least 12 in each: a single run is resolved to 2 %
 STEP_MARGIN = 0.06  # share of the run excluded at either end: a step there is an end effect without two levels
 CHANCE = 1e-4  # probability of a false finding per test: with three tests, one log in 3,000 has one
-# Random trials of the largest value: they determine the mean and deviation of its Gumbel tail to 7 %
-DRAWS = 200
 LINE_BAND = (0.1, 25.0)  # Hz: at least two cycles in 20 s, and low enough for little aliasing at the score rate
 BURST = 0.25  # s, length of a burst: a reversal with its presliding
 BURST_SHARE = 0.03  # largest share of the time that bursts may take: more would not be a burst
@@ -29,7 +29,6 @@ BURST_SHARE = 0.03  # largest share of the time that bursts may take: more would
 BURST_ENERGY = 0.12
 DRIFT = "a slow drift"  # its share refers to the mean square of the noise, without whitening
 REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here downwards; noise.autoregressive begins at 0.7 Hz
-STEEPEST = 1.2  # largest exponent of 1/f noise in the extrapolation, as in noise.autoregressive
 DRIFT_SHARE = 0.55  # least drift relative to the noise RMS: a user does not notice less than a third of the noise power
 # Least ratio of the slow power to the extrapolated noise: an exponent that is off by 0.3 may cause a factor of 2
 DRIFT_RATIO = 4.0
@@ -166,7 +165,7 @@ def drift(
             continue
         x = np.log(frequency[band])
         slope, level = np.polyfit(x, np.log(power[band]) + 0.5772, 1)
-        slope = min(0.0, max(slope, -STEEPEST))
+        slope = min(0.0, max(slope, -CONTINUED))
         level = float(np.mean(np.log(power[band]) + 0.5772 - slope * x))
         expected += float(np.sum(np.exp(level + slope * np.log(np.maximum(frequency[slow], 0.2)))))
         excess += float(np.sum(power[slow]))

@@ -14,19 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import DRAWS, FOLDS, LEAST_SHARE
 from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
-from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 200  # random trials of a null distribution: they determine its standard deviation to 7 %
 # Prior precision of a coefficient, white units, for strong, weak and very weak dependence: the best of them counts
 RIDGES = (3.0, 30.0, 300.0)
 # Standard deviations above the null: with ten families, chance produces a finding in at most 1 % of the logs
 SURE = 5.0
 DISTINCT = 1e-2  # share of a column's size: smaller differences between columns are noise of the underlying signals
-# Least share of the mean square of the white residual: 2.5 % of its RMS has no practical use. A smaller share also gets
-# no term in a formula (parameters.formula.LEAST_PART).
-LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True)

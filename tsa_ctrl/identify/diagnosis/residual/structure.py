@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import DRAWS
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import simulation_error
@@ -91,7 +92,7 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
     masked = {name: factor[problem.mask] for name, factor in factors.items()}
     dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
-    noise = rng.standard_normal((problem.count, changes.DRAWS))
+    noise = rng.standard_normal((problem.count, DRAWS))
     told = problem.nuisance.told(len(frame)) & problem.mask
     rest = _interpolated(frame.target - predicted, told, frame.period)
     return [

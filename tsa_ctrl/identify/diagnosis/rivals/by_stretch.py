@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BEYOND
+from tsa_ctrl.identify.diagnosis.rivals.stretch import ENOUGH, VISIBLY
 from tsa_ctrl.identify.diagnosis.rivals.stretch_fit import BASE, ONCE, Stretch, StretchFit, Term
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.quantity import NOISE, Quantity, half_width
@@ -23,12 +25,7 @@ from tsa_ctrl.model.parameters import Effects
 
 SPRING = "series_spring"
 MOST = 3  # largest number of identified effects, of four in the catalogue: four at once would fit almost any curve
-ENOUGH = 30.0  # least decrease of the cost due to the angles: a few encoder counts bring less
 FROM_FILE = 16.0  # cost of a clear contradiction to the model file: 4 standard deviations of its [uncertainty]
-VISIBLY = 1.25  # least ratio of the squares without and with the effect: 12 % of the RMS, which is visible in a picture
-# Student's t over the blocks: 0.3 % one-sided. The test uses the square roots of the differences. A permanent effect
-# may change one block a hundred times as much as another, and the roots ensure that many blocks must show it.
-BEYOND = 3.0
 FOR_ONCE = 1.5  # Student's t of the differences for a transient effect: if k blocks show all of it, t is sqrt(k)
 ALIKE = 9.0  # largest difference in cost between equally good effects: 3 standard deviations
 # Least share of the mean square of the elongation, without zero, drift and the effects, that the tensions explain:
@@ -112,6 +109,9 @@ def _with_one_more(stretch: Stretch, found: StretchFit, terms: Sequence[Term]) -
 
 def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, once: bool) -> bool:
     """Return True if the residual of `more` is clearly smaller than that of `less`, beyond the scatter of the blocks.
+
+    The test of a permanent effect uses the square roots of the differences. Such an effect may change one block a
+    hundred times as much as another, and the roots ensure that many blocks must show it.
 
     once: True for a transient effect or a single event, which a few blocks may show completely.
     """

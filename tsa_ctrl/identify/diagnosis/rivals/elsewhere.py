@@ -14,19 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import BEYOND, FOLDS, ROUNDING
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, bounded_step
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
-from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
 # Least ratio of the mean squares of competing hypothesis and cause: a user does not notice a smaller ratio, whatever
 # the scatter. If the error is mostly noise, the test of the whitened residuals is more sensitive.
 VISIBLY = 1.5
-BEYOND = 3.0  # Student's t of the difference over about 24 blocks: 0.3 % one-sided
-# Damping as a share of the square of each coordinate's column: indistinguishable coordinates keep their values, and all
-# others move as without damping
-SINGULAR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -84,7 +80,8 @@ def residual_of_part(learned: Fit, part: NDArray[np.bool_], moved: slice = slice
     point = learned.point[learned.free]
     low, high = learned.hypothesis.low[learned.free] - point, learned.hypothesis.high[learned.free] - point
     step = np.zeros(len(point))
-    step[columns] = bounded_step(jacobian[np.ix_(part, columns)], residual[part], low[columns], high[columns], SINGULAR)
+    # With this damping, indistinguishable coordinates keep their values, and all others move as without damping.
+    step[columns] = bounded_step(jacobian[np.ix_(part, columns)], residual[part], low[columns], high[columns], ROUNDING)
     return np.asarray(residual - jacobian @ step)
 
 

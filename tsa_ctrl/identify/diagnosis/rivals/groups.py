@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BY_NOISE, MOST_SPREAD, PER_COORDINATE, UNDOUBTED
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit_or_none
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
@@ -22,20 +23,13 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.sensor import sensor_fits
-from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
-from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
 from tsa_ctrl.model.catalogue import PARAMETER_ERROR, SENSOR_ERROR, twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
-# Largest ratio of the scatter between blocks to that of white noise: the same limit as for the widening of an interval
-# (refit.WIDEST)
-MOST_SPREAD = 3.0
 INPUT_TOLERANCE = 0.02  # share of the decrease due to the cause: inputs and filters are not known more accurately
-# White units, largest tolerance: a difference of 60 is certain, however much the cause explains
-MOST_INPUT_TOLERANCE = 60.0
 STILL = 0.3  # rad, range of the joint angle within which a gravity load looks like an offset
 UNRECORDED = "thermal_friction_drift"  # the competing hypothesis of a temperature that was not recorded
 # K, rise of the assumed temperature while the drive warms up: any value would do, because the coefficient scales with
@@ -120,7 +114,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     others = all_but(fitted.names, catalogue)
     bare = [variant for variant in others if not variant.coordinates]
     fits += ((variant.effect, step_from_nominal(problem, smaller, variant)) for variant in bare)
-    tolerance = min(INPUT_TOLERANCE * (smaller.rss - fitted.rss), MOST_INPUT_TOLERANCE)
+    tolerance = min(INPUT_TOLERANCE * (smaller.rss - fitted.rss), UNDOUBTED)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)
     found = [

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import LEAST_SHARE
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, step_from_nominal
@@ -30,8 +31,9 @@ LAWS = (
     ("tau*abs(tau)", 2),
     ("tau**3", 3),
 )
-DEAD_ZONES = (0.1, 0.3)  # half widths as shares of the RMS torque, as in parameters.terms
-LEAST_INSIDE = 0.05  # share of the samples inside a dead zone: with fewer, it only looks like friction
+# Half widths of a dead zone as shares of the RMS torque: a narrower one acts like an offset of either sign, and a wider
+# one removes most of the torque
+DEAD_ZONES = (0.1, 0.3)
 
 
 def sensor_fits(problem: Problem, fitted: Fit, index: int) -> Iterator[Fit]:
@@ -64,7 +66,8 @@ def _variants(problem: Problem, model: Model, alone: bool) -> Iterator[Variant]:
     size = float(np.std(torque))
     laws = [*LAWS]
     for width in (share * size for share in DEAD_ZONES):
-        if float(np.mean(np.abs(torque) < width)) > LEAST_INSIDE:
+        # With fewer samples inside it, a dead zone only looks like friction.
+        if float(np.mean(np.abs(torque) < width)) > LEAST_SHARE:
             laws.append((f"(abs(tau + {width:.6g}) - abs(tau - {width:.6g}))", 1))
     for text, power in laws:
         law = (text, size ** (1 - power))

@@ -21,6 +21,10 @@ from tsa_ctrl.model.stretch import compliances
 
 SHAPE = "elongation_coupling"
 ALL_AT_JOINT = "joint_end"
+# Ratio of the sums of squares with and without an effect, or of two hypotheses: encoder errors and effects outside the
+# catalogue cause smaller ratios
+VISIBLY = 1.25
+ENOUGH = 30.0  # least difference in cost: a few encoder counts cause less
 INEXACT = 0.02  # relative error of the stiffness: the error of a first-order model of the friction
 LIKELY = 1.96  # standard deviations in half a 95 % interval, which is what [uncertainty] states
 MOST_ALIKE = 0.98  # largest correlation of neighbouring residuals: at 1 the deviation would be infinite

@@ -22,14 +22,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.criteria import BEYOND, MOST_SPREAD
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion
-from tsa_ctrl.identify.diagnosis.rivals.groups import MOST_SPREAD, Group, Rival, groups
+from tsa_ctrl.identify.diagnosis.rivals.groups import Group, Rival, groups
 from tsa_ctrl.identify.diagnosis.rivals.stretch import (
+    ENOUGH,
     SHAPE,
+    VISIBLY,
     Seen,
     deviation,
     ends_of,
@@ -43,11 +46,6 @@ from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.model.functions import Array
 
-# Ratio of the sum of squares to that of the best hypothesis: encoder errors and effects outside the catalogue cause
-# smaller ratios
-VISIBLY = 1.25
-BEYOND = 3.0  # Student's t of the difference over the blocks: 0.3 % one-sided
-ENOUGH = 30.0  # least difference in cost: a few encoder counts cause less
 # Largest difference in total cost (torque, model file and elongation): 3 standard deviations at the largest spread
 # of the blocks
 ASIDE = 9.0 * MOST_SPREAD**2

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BY_NOISE, CERTAIN, NEGLIGIBLE
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Score, scores
@@ -17,15 +18,14 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     on_simulation_error,
     simulation_error,
 )
-from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, LEAST_ERROR_REDUCTION, SMALLEST, SMALLEST_GAIN
+from tsa_ctrl.identify.diagnosis.selection.entry import LEAST_ERROR_REDUCTION, SMALLEST, SMALLEST_GAIN
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
-from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, torque
+from tsa_ctrl.identify.diagnosis.selection.meaning import torque
 from tsa_ctrl.model.functions import Array
 
 # Standard deviations above a threshold at which it is exceeded with probability 0.9 (normal distribution)
 POWER = 1.2816
 SPREAD = 1.15  # factor by which a block-robust deviation sometimes exceeds the nominal one
-INVISIBLE = 1e-6  # share of the largest response: a smaller effect changes nothing in these logs
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
     recalibration = orthonormal(tangents[problem.mask])
     noise = noise_rms(problem, chosen.fitted)
     needed = max(first.threshold, SMALLEST_GAIN * problem.count)
-    white_size = max(np.sqrt(needed), SPREAD * BLOCK_T) + POWER
+    white_size = max(np.sqrt(needed), SPREAD * CERTAIN) + POWER
     # Even a certain cause must reduce the simulation error by this amount, to which reversals contribute little.
     plain = on_simulation_error(problem, models_reversals(chosen.fitted) or not problem.nuisance.moments)
     left = min(structure, 1.0) * simulation_error(problem, chosen.fitted) / problem.count
@@ -70,7 +70,7 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
     found: dict[str, list[float]] = defaultdict(list)
     sizes = [float(np.linalg.norm(score.columns)) for score in scored]
     for response, score, size in zip(first.responses, scored, sizes, strict=True):
-        if size < INVISIBLE * max(sizes):
+        if size < NEGLIGIBLE * max(sizes):
             continue
         raw = response.columns[problem.mask]
         raw = raw - recalibration @ (recalibration.T @ raw)
@@ -79,7 +79,7 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
         shown = plain.whiten(response.columns)
         shown = shown - known @ (known.T @ shown)
         whole = _rms(raw)
-        taken = whole * error / max(_rms(shown), INVISIBLE * whole)
+        taken = whole * error / max(_rms(shown), NEGLIGIBLE * whole)
         held = 0.0 if score.variant.effect in chosen.fitted.names else _held(first.fitted, score)
         seen_from = max(whole / size * white_size, SMALLEST * noise, taken)
         found[score.variant.effect].append(seen_from + whole / size * held)

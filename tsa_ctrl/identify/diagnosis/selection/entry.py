@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.criteria import BEYOND, CERTAIN, FOLDS
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Score
@@ -29,9 +30,6 @@ from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 DRAWS = 300  # random trials of the gain of the best candidate: they determine the spread of its Gumbel tail to 6 %
 # Probability that the best candidate passes on noise alone: over five rounds, 1 % of all logs may yield a false cause
 FAMILY_LEVEL = 0.002
-FOLDS = 6  # number of parts for cross-validation: a fit without one sixth of the data is hardly worse
-BLOCK_T = 4.0  # t with 23 degrees of freedom: 0.06 % two-sided
-LATE_T = 3.0  # t of a lag or a delay with free reversal times, before it is tested with fixed times: 0.6 % two-sided
 # Least share of the gain that remains on blocks not used in the fit. Fitted noise keeps nothing; a true cause loses
 # only what it gained by fitting noise.
 LEAST_CROSS_VALIDATED = 0.4
@@ -70,7 +68,7 @@ class Evidence:
     @property
     def holds(self) -> bool:
         """Return True if the effect is consistent between blocks and predicts blocks not used in the fit."""
-        return self.block_t > BLOCK_T and self.cross_validated_share > LEAST_CROSS_VALIDATED
+        return self.block_t > CERTAIN and self.cross_validated_share > LEAST_CROSS_VALIDATED
 
 
 def entry_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
@@ -165,7 +163,7 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
     if holds and _is_broad_and_large(problem, before, found, proof, needed):
         return True
     late = not before.names and found.names[-1] in LATE_REVERSALS
-    if late and proof.gain > needed and proof.block_t > LATE_T and _in_all_reversals(problem, before, found, needed):
+    if late and proof.gain > needed and proof.block_t > BEYOND and _in_all_reversals(problem, before, found, needed):
         return True
     return not holds and transfers(problem, before, found)
 

@@ -9,6 +9,7 @@ from itertools import chain
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BY_NOISE, LEAST_SHARE, PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import pilot_noise
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
@@ -28,7 +29,7 @@ from tsa_ctrl.identify.diagnosis.selection.entry import (
     transfers,
     used_logs,
 )
-from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, SIMPLER, meaningless
+from tsa_ctrl.identify.diagnosis.selection.meaning import SIMPLER, meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import (
     FITTED,
     LATE_REVERSALS,
@@ -45,9 +46,8 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
 # One more than the measured cable drive needs. With four causes, a torque sensor lag replaced the eccentricity there,
 # and the leave-one-load-out error was 17 instead of 6 mN*m. The evidence usually ends the search earlier.
 MOST_CAUSES = 6
-PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
 # Ratio of the sum of squares (white units) to the number of samples: 5 % are three standard deviations of 7,000 samples
-MORE_THAN_NOISE = 1.05
+MORE_THAN_NOISE = 1.0 + LEAST_SHARE
 MOST_STARTS = 3  # most causes of a round from which a selection starts; on the cable drive the 2nd or 3rd is correct
 
 

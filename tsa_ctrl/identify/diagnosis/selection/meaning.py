@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import BY_NOISE, NEGLIGIBLE
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
@@ -23,11 +24,6 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 # eight ninths of its square. Its parameter would then depend on the difference of two uncertain values.
 MOST_PART = 3.0
 FAR = 10.0  # distance to the rest angle in half ranges of the motion: at this distance a spring's torque varies by 10 %
-# Distance to a bound, as a share of the range, below which the bound is active; rounding causes smaller distances
-AT_BOUND = 1e-6
-# Decrease of the sum of squares (white units) that noise alone can cause: 3.7 standard deviations, exceeded in one test
-# of 5,000
-BY_NOISE = 14.0
 # Effects and their simpler limit: the joint hardly moves, or the spring rests far outside the motion
 SIMPLER: Mapping[str, str] = {"joint_stiffness": "torque_offset", "gravity_load": "torque_offset"}
 
@@ -102,7 +98,7 @@ def _at_bound(problem: Problem, found: Fit, index: int) -> bool:
     at = found.hypothesis.places[index].start
     own = [at + i for i in (variant.amplitude or range(len(variant.coordinates)))]
     low, high = found.hypothesis.low, found.hypothesis.high
-    near = [AT_BOUND * (high[i] - low[i]) if np.isfinite(high[i] - low[i]) else 0.0 for i in own]
+    near = [NEGLIGIBLE * (high[i] - low[i]) if np.isfinite(high[i] - low[i]) else 0.0 for i in own]
     held = [
         i
         for i, margin in zip(own, near, strict=True)
