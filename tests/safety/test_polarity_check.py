@@ -33,6 +33,12 @@ def filtered(values: FloatArray) -> FloatArray:
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values))
 
 
+def low_passed(values: FloatArray, time: float, start: float) -> FloatArray:
+    """Return the values after a low-pass with the time constant `time` (s) that was at `start` before."""
+    keep = math.exp(-PERIOD / time)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * start])[0])
+
+
 @dataclass
 class Course:
     """Measurements of a random rig in each cycle."""
@@ -50,21 +56,19 @@ class Course:
     def __post_init__(self) -> None:
         self.t = 7.0 + np.arange(self.torque.size) * PERIOD
 
-    def band(self, values: FloatArray, first: int, end: int) -> FloatArray:
+    def band(self, values: FloatArray, since: int, first: int, end: int) -> FloatArray:
         """Return the values between 1.6 and 16 Hz: a low-pass of 10 ms minus a low-pass of 100 ms after it.
 
-        The filters start at the first known sample.
+        The first low-pass starts at the first known sample from `since` on, the second one at `first`.
         """
-        part = values[first:end]
-        found = np.zeros(part.size)
-        known = np.flatnonzero(np.isfinite(part))
-        if known.size:
-            x = part[known]
-            for time in (0.01, 0.1):
-                keep = math.exp(-PERIOD / time)
-                slow = lfilter([1.0 - keep], [1.0, -keep], x, zi=[keep * x[0]])[0]
-                quick, x = x, slow
-            found[known] = quick - slow
+        found = np.zeros(end - first)
+        known = since + np.flatnonzero(np.isfinite(values[since:end]))
+        judged = known >= first
+        if judged.any():
+            quick = low_passed(values[known], 0.01, values[known[0]])
+            before = quick[~judged]
+            slow = low_passed(quick[judged], 0.1, before[-1] if before.size else quick[0])
+            found[known[judged] - first] = quick[judged] - slow
         return found
 
     def turns(self) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
@@ -112,13 +116,16 @@ class Course:
         ratio = {}
         held = self.held()
         travel = self.travel()
+        active = held | (np.arange(self.t.size) < free)
+        begun = np.maximum.accumulate(np.where(np.diff(active, prepend=False), np.arange(self.t.size), 0))
         for first, end, winds in self.pieces(driven, free):
-            t, a, j = (self.band(values, first, end) for values in (self.torque, self.apart, self.tau_j))
+            since = int(begun[first])
+            t, a, j = (self.band(values, since, first, end) for values in (self.torque, self.apart, self.tau_j))
             tt, ta, aa, tj, jj = (filtered(x) for x in (t * t, t * a, a * a, t * j, j * j))
             apart = self.apart[first:end]
             least = np.fmin.accumulate(np.where(np.isnan(apart), math.inf, apart))
             most = np.fmax.accumulate(np.where(np.isnan(apart), -math.inf, apart))
-            y = self.band(travel, first, end)
+            y = self.band(travel, first, first, end)
             ty, ay, yy = (filtered(x) for x in (t * y, a * y, y * y))
             with np.errstate(all="ignore"):
                 share = np.clip(np.nan_to_num(ay / yy), -0.02, 0.02)  # share of the travel that wrong radii add
@@ -249,6 +256,17 @@ def test_torque_is_small_until_the_stretch_shows_its_sense_after_each_enable() -
     assert sense.ceiling == pytest.approx(LIMIT * SMALL)
     assert WRONG in str(run(sense, sign=-1.0))
     assert sense.ceiling == pytest.approx(LIMIT * SMALL)
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+def test_an_oscillating_motor_is_no_reversed_one_after_a_reversal_of_the_friction(phase: float) -> None:
+    """The torque rises slowly after the pause of a reversal, while the motor oscillates on its tendons at 60 Hz."""
+    sense = check_of()
+    for n in range(500):
+        torque = LIMIT * (0.05 + 0.3 * n * PERIOD)
+        swing = 0.2 * LIMIT * math.sin(2.0 * math.pi * 60.0 * n * PERIOD + phase)
+        sigma = 1.0 if n > 50 else -1.0
+        assert sense.update(n * PERIOD, torque, (torque + swing) / STIFFNESS, math.nan, sigma, 0.0) is None
 
 
 def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a_while_stops_nothing() -> None:

@@ -6,11 +6,15 @@ import re
 from pathlib import Path
 
 import pytest
+import tomlkit
 
 from tests.conftest import ROOT
+from tests.virtual import joints
+from tests.virtual.files import Tables
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.rig import BusChoice, gait
+from tsa_ctrl.virtual.result import Simulation
 
 
 @pytest.mark.parametrize(
@@ -34,6 +38,26 @@ def test_no_healthy_rig_latches(tmp_path: Path, rate: float, load: str) -> None:
     result = simulate_loop(tmp_path / "controller-with.toml", tmp_path / "plant.toml", 5.0)
     assert [event.text for event in result.summary.events if event.fault] == []
     assert not result.summary.failed
+
+
+@pytest.mark.parametrize(("rate", "inertia"), [(400.0, 1e-5), (500.0, 5e-6)])
+def test_a_light_motor_that_oscillates_between_two_samples_does_not_contradict_its_velocity(
+    tmp_path: Path, rate: float, inertia: float
+) -> None:
+    """The motor has gear friction, so it stops at other velocities than it has on average."""
+    friction = {"effects": {"motor_side_friction": {"coulomb": 0.03}}}
+    result = at_rate(tmp_path, "weight", rate, inertia, friction, 2.0)
+    assert [event.text for event in result.summary.events if event.fault] == []
+
+
+def at_rate(folder: Path, load: str, rate: float, inertia: float, plant: Tables, seconds: float) -> Simulation:
+    """Run the actuator of `joints` at another rate (Hz), with a motor of `inertia` (kg*m^2)."""
+    law = {"delay": 1.5 / rate + joints.LAG}
+    paths = joints.files(folder, load, joints.sine(0.5, 0.5), inertia=inertia, axis={"law": law}, plant=plant)
+    tables = tomlkit.parse(paths[0].read_text(encoding="utf-8")).unwrap()
+    tables["controller"]["rate"] = rate
+    paths[0].write_text(tomlkit.dumps(tables), encoding="utf-8")
+    return simulate_loop(*paths, seconds)
 
 
 def test_the_shipped_example_rests_at_every_rate(tmp_path: Path) -> None:

@@ -72,7 +72,8 @@ class Plausibility:
         self._geared = r_j / r_m
         self._has_encoder = has_encoder
         self._elongation = Elongation(give, period)
-        self._velocity = Velocity(counts[0], period) if reports_velocity and period <= Velocity.LONGEST else None
+        compares_velocity = reports_velocity and Velocity.is_usable(give, period)
+        self._velocity = Velocity(counts[0], period) if compares_velocity else None
         self._joint_rests = Standstill(counts[1], period) if has_encoder else None
         self._noise = SensorNoise()
         self._velocity_wrong = Debounce(VELOCITY_TIME)

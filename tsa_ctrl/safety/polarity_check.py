@@ -8,7 +8,8 @@ motion, not with the torque, and the gain may be larger after a reversal. The se
 only.
 
 All signals are filtered to a band without the motor's oscillation on its tendons and without the drift of the friction.
-They are correlated over the last 0.2 s. Samples before the last friction reversal are excluded for two reasons:
+The low-pass continues through each pause, so a comparison never begins with one sample of an oscillating motor. They
+are correlated over the last 0.2 s. Samples before the last friction reversal are excluded for two reasons:
 
 * While a joint moves slowly, friction stretches the tendon against the new torque until the whole tendon slides. This
   takes some joint travel, and during slow motion more than a second.
@@ -137,10 +138,11 @@ class PolarityCheck:
         self._pulled = self._driven = self._suspect = self._fast = False
         for clock in (self._reversed, self._turned, self._altered, self._gives, self._excessive):
             clock.reset()
+        self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
         self._begin(0.0, -math.inf)
 
     def _begin(self, direction: float, until: float) -> None:
-        """Pause the comparison until the time `until` (s), and then start it with empty filters."""
+        """Pause the comparison until the time `until` (s), and then start it again."""
         self._direction = direction
         self._until = until
         self._travel = 0.0  # rad at the motor since the last friction reversal
@@ -149,7 +151,9 @@ class PolarityCheck:
 
     def _forget(self) -> None:
         """Discard all observations."""
-        self._torque, self._apart, self._joint, self._yields = (_Band(*self._rates) for _ in range(4))
+        for band in (self._torque, self._apart, self._joint):
+            band.restart()
+        self._yields = _Band(*self._rates)
         self._least_apart, self._most_apart = math.inf, -math.inf
         self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = self._ay = self._yy = 0.0
         self._stretch = 0.0
@@ -201,11 +205,15 @@ class PolarityCheck:
         if self.ceiling == math.inf and not held:  # `residuals` checks a moving joint
             self._resting = True
             return None
-        if now < self._until:
-            return None
         if self._resting:
             self._resting = False
+            self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
             self._forget()
+        if now < self._until:
+            for band, value in ((self._torque, torque), (self._apart, apart), (self._joint, tau_j)):
+                band.of(value)
+                band.restart()
+            return None
         winds_up = self._winds_up()
         if winds_up is not self._winding:  # observations of one state are not valid in the other
             self._winding = winds_up
@@ -300,12 +308,16 @@ def _correlation(product: float, squares: float) -> float:
 
 
 class _Band:
-    """A band-pass filter, initialised with the first sample that is not nan."""
+    """A low-pass and a high-pass filter, initialised with the first sample that is not nan."""
 
     def __init__(self, quick: float, slow: float) -> None:
         self._quick = quick
         self._slow = slow
         self._smooth = self._drift = math.nan
+
+    def restart(self) -> None:
+        """Restart the high-pass at the present value of the low-pass."""
+        self._drift = self._smooth
 
     def of(self, value: float) -> float:
         if value != value:
