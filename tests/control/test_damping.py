@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tsa_ctrl.control.damping import Damping
-from tsa_ctrl.control.law_design import LAG, LEAST, SHARE, gain_margin, largest_gain
+from tsa_ctrl.control.law_design import LAG, LEAST, SHARE, gain_margin, is_stable_at_rest, largest_gain
 
 PERIOD = 1e-3
 K = 40.0  # N*m/rad
@@ -71,6 +71,19 @@ def test_margin_is_where_the_swing_begins_to_grow(inertia: float, delay: int) ->
 
     assert not grows(0.9 * margin)
     assert grows(1.1 * margin)
+
+
+@pytest.mark.parametrize(("inertia", "delay", "stable"), [(6e-4, 1, True), (6e-4, 3, False), (3e-5, 1, False)])
+def test_on_tendons_that_friction_locks_the_swing_grows_unless_the_damping_is_stable_at_rest(
+    inertia: float, delay: int, stable: bool
+) -> None:
+    """Friction locks a tendon at its first bend, here after 62, 40 or 20 % of the length."""
+    total = (delay + 0.5) * PERIOD + LAG
+    gain = largest_gain(inertia, K, total, PERIOD)
+    courses = [swing(gain, inertia, delay, stiffness=K / share) for share in (0.62, 0.4, 0.2)]
+    grows = any(np.abs(q[-100:]).max() > np.abs(q[150:250]).max() > 1e-9 for q in courses)
+    assert is_stable_at_rest(gain, inertia, K, total, PERIOD) is stable
+    assert grows is not stable
 
 
 def test_the_gain_keeps_the_margin_and_goes_where_there_is_none() -> None:

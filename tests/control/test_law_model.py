@@ -174,6 +174,22 @@ def test_the_damping_opposes_what_differs_from_the_plan() -> None:
     assert found[None] < 0.0 == found[0.0]
 
 
+@pytest.mark.parametrize(("delay", "damped"), [(2e-3, True), (6e-3, False)])
+def test_a_resting_joint_is_damped_only_if_that_is_stable_on_tendons_that_friction_locks(
+    delay: float, damped: bool
+) -> None:
+    for rests in (0.0, 0.3):  # s
+        planned = []
+        for gain in (None, 0.0):
+            law = make(actuator(), Friction(), motor_inertia=1e-4, delay=delay, damping=gain, compensation=0.0)
+            for n in range(round((0.3 + rests) / PERIOD)):
+                angle = min(n * PERIOD, 0.3)
+                law.observe(angle, RATIO * angle, True, math.nan, 0.0)
+                law.update(0.0, RATIO * angle, 1.0, 0.0, 1.0)
+            planned.append(law.planned)
+        assert (planned[0] != planned[1]) is (damped or rests == 0.0)
+
+
 def moved(**more: Any) -> Law:
     """Return the law of a joint that has moved for 0.3 s and stopped, at a set-point of 0.5 N*m."""
     law = make(actuator(), Friction(), fade_in=0.0, **more)

@@ -10,6 +10,10 @@ oscillation of one frequency can be predicted:
 
 The planned angle is compared with the measured one T_d later, when it acts. The slow part of e (zero of the encoders, a
 wrong model) is removed. `law_design.gain_margin` returns the gain margin of k.
+
+Friction locks the tendons of a resting joint from their first bend on. The motor then oscillates faster, and the
+prediction may have the wrong phase. The damping of a resting joint is therefore used only if it is stable then
+(`law_design.is_stable_at_rest`). Without it, the hysteresis of the tendons ends the oscillation.
 """
 
 from __future__ import annotations

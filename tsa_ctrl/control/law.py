@@ -36,7 +36,7 @@ import math
 from typing import Protocol
 
 from tsa_ctrl.control.damping import Damping
-from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.direction import STANDING, Direction
 from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.control.motion_filter import MOST_EXPECTED, JointAngle, Motion
 from tsa_ctrl.control.reversal import FrictionReversal, ReversalSlip
@@ -150,6 +150,7 @@ class Law:
         self._period = period
         self._give = 1.0 / plan.stiffness  # rad per N*m at the motor, joint locked
         self._delay, self._inertia, self._damps = plan.delay, plan.inertia, plan.damping > 0.0
+        self._damps_at_rest = plan.damps_at_rest
         self._fade_step = period / settings.fade_in if settings.fade_in > 0.0 else 1.0
         self._stretch = self._blind = 0.0
         self.reset()
@@ -298,7 +299,9 @@ class Law:
         if self._inertia > 0.0:  # torque that moves the motor as planned, and damps deviations from the plan
             planned = self._inertia * (share * slip.bend + acceleration / self._ratio)
             if self._damps:
-                planned += self.damping.update(stretch, q_m, omega_m, motion.angle, motion.velocity)
+                damping = self.damping.update(stretch, q_m, omega_m, motion.angle, motion.velocity)
+                if self._damps_at_rest or self.direction.rest < STANDING:
+                    planned += damping
         self.planned = planned
         return wanted + planned
 

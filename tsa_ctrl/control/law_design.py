@@ -31,6 +31,9 @@ from tsa_ctrl.safety.limiter import LimiterSettings
 LAG = 0.5e-3  # s, torque loop of a drive; the known drives are faster
 LEAST = 2.0  # required gain margin
 STIFFNESS = (0.8, 1.0, 1.25)  # of the model's stiffness: the uncertainty before the tendons are measured
+# Of the model's stiffness, at a joint at rest. Friction locks the tendon from its first bend on, and the motor
+# oscillates on the rest of it: at least a fifth of the length, because nearer bends absorb the oscillation themselves.
+LOCKED = (1.6, 2.5, 5.0)
 SHARE = 0.32  # of sqrt(K J_M), largest useful gain: a sixth of critical damping, which ends a swing in two periods
 WORTH = 0.05  # of sqrt(K J_M); below it, damping is not worth its noise
 _MOST = 64.0
@@ -51,6 +54,11 @@ def gain_margin(gain: float, inertia: float, stiffness: float, delay: float, per
         period: s.
     """
     return min(_margin(gain, inertia, share * stiffness, stiffness, delay, period) for share in STIFFNESS)
+
+
+def is_stable_at_rest(gain: float, inertia: float, stiffness: float, delay: float, period: float) -> bool:
+    """Return True if the damping is stable with each stiffness of `LOCKED`; arguments as for `gain_margin`."""
+    return all(_margin(gain, inertia, share * stiffness, stiffness, delay, period) > 0.0 for share in LOCKED)
 
 
 def largest_gain(inertia: float, stiffness: float, delay: float, period: float) -> float:
@@ -200,6 +208,7 @@ class Plan:
     ringing: float  # rad/s, 0 without an inertia
     damping: float  # N*m*s/rad
     margin: float  # of the damping's gain; inf without damping
+    damps_at_rest: bool  # False if the damping would be unstable on tendons that friction locks
     reach: float  # m of tendon per N*m of desired torque, at a joint at rest
     give: float  # m of tendon per N*m of desired torque, at a moving joint; 0 with all bends at the joint
     notes: tuple[str, ...] = ()
@@ -286,6 +295,7 @@ def design_law(
         ringing=omega,
         damping=gain,
         margin=margin,
+        damps_at_rest=gain > 0.0 and is_stable_at_rest(gain, mass, mass * omega**2, total + late, period),
         reach=at_rest / (2.0 * model.joint_pulley_radius),
         give=moving / (2.0 * model.joint_pulley_radius),
         notes=tuple(notes),
