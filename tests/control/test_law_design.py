@@ -34,9 +34,11 @@ def test_the_delay_is_transport_hold_and_torque_loop() -> None:
     assert plan(bent("uniform"), delay=3e-3).delay == 3e-3
 
 
-def test_a_turn_takes_eight_periods_and_less_towards_the_joint() -> None:
-    turns = [plan(bent(name), inertia=INERTIA).turn for name in ("motor_end", "uniform", "joint_end")]
-    assert turns == pytest.approx([8e-3, 8e-3, 5e-3])
+@pytest.mark.parametrize("period", [5e-4, 1e-3, 4e-3])
+def test_a_turn_takes_three_periods_and_the_time_of_the_motor_and_less_towards_the_joint(period: float) -> None:
+    names = ("motor_end", "uniform", "joint_end")
+    turns = [plan(bent(name), inertia=INERTIA, period=period, transport=period).turn for name in names]
+    assert turns == pytest.approx([5e-3 + 3.0 * period, 5e-3 + 3.0 * period, 2e-3 + 3.0 * period])
 
 
 @pytest.mark.parametrize(

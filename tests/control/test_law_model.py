@@ -50,7 +50,7 @@ class Model:
         self.wanted = max(0.0, self.wanted - step) if silent else min(1.0, self.wanted + 5.0 * step)
 
     def applied(self, left: float) -> None:
-        """Continue from what a limit left of the term, which never changes its sign and never grows."""
+        """Continue from the term that a limit has cut. A limit never changes its sign and never increases it."""
         self.term = math.copysign(min(abs(self.term), max(0.0, left * math.copysign(1.0, self.term))), self.term)
 
 
@@ -150,7 +150,7 @@ def test_a_motor_swings_against_its_joint_while_the_term_turns() -> None:
 
 
 def test_without_an_encoder_the_elongation_of_the_tendons_is_no_motion_of_the_joint() -> None:
-    """The joint is locked. The motor follows the ideal torque, what a limit leaves of it, and the next enable."""
+    """The joint is locked. The motor follows the ideal torque, that torque cut by a limit, and the next enable."""
     law = make(actuator(), Friction(), encoder=False, fade_in=0.0, compensation=0.0)
     left, speeds = 1.0, []
     for n in range(400):

@@ -31,8 +31,8 @@ from tsa_ctrl.safety.limiter import LimiterSettings
 LAG = 0.5e-3  # s, torque loop of a drive; the known drives are faster
 LEAST = 2.0  # required gain margin
 STIFFNESS = (0.8, 1.0, 1.25)  # of the model's stiffness: the uncertainty before the tendons are measured
-# Of the model's stiffness, at a joint at rest. Friction locks the tendon from its first bend on, and the motor
-# oscillates on the rest of it: at least a fifth of the length, because nearer bends absorb the oscillation themselves.
+# Multiples of the model's stiffness at which a motor with a resting joint may oscillate. Friction locks the tendon from
+# its first bend on. A first bend within a fifth of the length absorbs the oscillation itself.
 LOCKED = (1.6, 2.5, 5.0)
 SHARE = 0.32  # of sqrt(K J_M), largest useful gain: a sixth of critical damping, which ends a swing in two periods
 WORTH = 0.05  # of sqrt(K J_M); below it, damping is not worth its noise
