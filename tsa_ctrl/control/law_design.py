@@ -58,7 +58,7 @@ def gain_margin(gain: float, inertia: float, stiffness: float, delay: float, per
 
 def is_stable_at_rest(gain: float, inertia: float, stiffness: float, delay: float, period: float) -> bool:
     """Return True if the damping is stable with each stiffness of `LOCKED`; arguments as for `gain_margin`."""
-    return all(_margin(gain, inertia, share * stiffness, stiffness, delay, period) > 0.0 for share in LOCKED)
+    return all(_is_stable(gain, inertia, share * stiffness, stiffness, delay, period) for share in LOCKED)
 
 
 def largest_gain(inertia: float, stiffness: float, delay: float, period: float) -> float:
@@ -76,8 +76,7 @@ def largest_gain(inertia: float, stiffness: float, delay: float, period: float) 
 
 def _margin(gain: float, inertia: float, stiffness: float, believed: float, delay: float, period: float) -> float:
     def stable(factor: float) -> bool:
-        step = loop_matrix(factor * gain, inertia, stiffness, believed, delay, period)
-        return float(np.abs(np.linalg.eigvals(step)).max()) <= _OUTSIDE
+        return _is_stable(factor * gain, inertia, stiffness, believed, delay, period)
 
     if not stable(1.0):
         return 0.0
@@ -90,6 +89,11 @@ def _margin(gain: float, inertia: float, stiffness: float, believed: float, dela
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stable(middle) else (low, middle)
     return low
+
+
+def _is_stable(gain: float, inertia: float, stiffness: float, believed: float, delay: float, period: float) -> bool:
+    step = loop_matrix(gain, inertia, stiffness, believed, delay, period)
+    return float(np.abs(np.linalg.eigvals(step)).max()) <= _OUTSIDE
 
 
 def loop_matrix(
