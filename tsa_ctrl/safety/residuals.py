@@ -207,8 +207,8 @@ class Velocity:
         by_position: filtered velocity from the position, rad/s.
     """
 
-    LONGEST = 1.0 / 3.0  # of an oscillation, longest period
-    OSCILLATION = 133.0  # Hz, of a motor with an unknown inertia
+    LONGEST: ClassVar[float] = 1.0 / 3.0  # of an oscillation, longest period
+    OSCILLATION: ClassVar[float] = 133.0  # Hz, of a motor with an unknown inertia
 
     MEMORY = 0.1  # s, time constant of the comparison
     SHARE = 0.1  # 1, of the path: scale and rounding errors of a healthy drive
