@@ -49,6 +49,14 @@ def forbidden(tree: ast.Module) -> set[str]:
                 isinstance(each, ast.FunctionDef) and each.name == "__init__" for each in node.body
             ):
                 found.add(f"class {node.name}: the constructor of an Enum does not accept its members")
+            if not any("Enum" in base for base in bases):
+                plain = {ast.unparse(each.targets[0]) for each in node.body if isinstance(each, ast.Assign)}
+                read = {
+                    each.attr
+                    for each in ast.walk(node)
+                    if isinstance(each, ast.Attribute) and ast.unparse(each.value) == "cls"
+                }
+                found |= {f"class {node.name}: cls.{name} must be declared as a ClassVar" for name in read & plain}
             if "Protocol" in bases and any(isinstance(each, ast.AnnAssign) and each.value for each in node.body):
                 found.add(f"class {node.name}: a value in a Protocol")
         elif isinstance(node, ast.Call) and names_of([node.func]) == {"TypeVar"} and len(node.args) > 1:
