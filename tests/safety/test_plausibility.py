@@ -9,25 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.safety.test_residuals import GIVE
 from tsa_ctrl.safety.causes import Finding
 from tsa_ctrl.safety.plausibility import Plausibility
-from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.settings import PlausibilitySettings
 
 PERIOD = 0.002  # s
 RADII = (0.020, 0.025)  # m
 MODEL = (0.26, 45.0)
-GIVE = Give(
-    stiffness=40.0,
-    wound=0.03,
-    domain=1.8,
-    play=0.0,
-    doubt=DOUBT,
-    free=1.0,
-    least_free=1.0,
-    friction=FRICTION,
-    inertia=0.0,
-)
 COUNTS = (0.0, 0.0)  # rad; the angles are not rounded
 NO_SENSOR = math.nan
 

@@ -294,15 +294,16 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=1000.0, help="Hz of the loop (default: 1000)")
     arguments = parser.parse_args()
     command.seeded(arguments)
-    asked = [(arguments.seed, number) for number in range(arguments.first, arguments.first + arguments.rigs)]
-    work = functools.partial(made, arguments.keep, arguments.rate)
-    rows = command.run_rows(work, asked, lambda row: (row["seed"], row["rig"]), arguments)
+    numbers = range(arguments.first, arguments.first + arguments.rigs)
+    asked = [(arguments.seed, number, arguments.rate) for number in numbers]
+    work = functools.partial(made, arguments.keep)
+    rows = command.run_rows(work, asked, lambda row: (row["seed"], row["rig"], row["rate"]), arguments)
     command.print_tables(rows, arguments, lambda: [f"seed {arguments.seed}", *report(rows)])
     return 0
 
 
-def made(keep: Path | None, rate: float, asked: tuple[int, int]) -> Row:
+def made(keep: Path | None, asked: tuple[int, int, float]) -> Row:
     """Generate, tune and evaluate one rig. With `keep` its files stay in a folder there."""
-    seed, number = asked
+    seed, number, rate = asked
     with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
-        return trial(draw(*asked, rate), Path(name) if keep is None else keep / f"rig-{seed}-{number}")
+        return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}-{rate:g}")

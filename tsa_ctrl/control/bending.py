@@ -58,7 +58,7 @@ class _Joint:
         self._seen = (math.inf, -math.inf)  # rad, measured range, used for a joint without a travel
         self._added = math.nan
         self._gap = 0.0  # rad, change that the transition spreads
-        self._left, self._step = 0.0, 0.0  # part of it that is left, 1 to 0, and its change in a period
+        self._left, self._step = 0.0, 0.0  # share of the change that remains, 1 to 0, and its decrease in a period
         self._period = period
 
     def extremes(self) -> Span:
@@ -88,7 +88,7 @@ class _Joint:
         """Return the angle that the joint adds now, rad; changes between measured and missing are gradual.
 
         Args:
-            others: wrap angle without this joint, rad.
+            others: wrap angle without this joint and those after it, rad.
         """
         angle, speed = (math.nan, 0.0) if self._read is None else self._read()
         angle += self._ahead * speed

@@ -14,7 +14,7 @@ STEP = 1.1  # ratio of successive memories in the search
 # rad/s^3 at the reversals of a gait (0.3 rad at 1 Hz: 74). The memory that this value gives has the smallest errors
 # with a prescribed gait and a human-in-the-loop load at 250 to 1000 Hz and encoders of 12 to 20 bit.
 JERK = 50.0
-QUIET = 0.04  # rad/s: human joints hardly move more slowly, and a longer memory would add delay
+QUIET = 0.04  # rad/s: human joints hardly move more slowly
 MOST_EXPECTED = 50  # periods without an angle that end the extrapolation: the watchdogs have then removed the torque
 _SETTLED = 40  # memories after which a step has no effect
 

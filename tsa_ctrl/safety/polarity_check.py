@@ -138,8 +138,11 @@ class PolarityCheck:
         self._pulled = self._driven = self._suspect = self._fast = False
         for clock in (self._reversed, self._turned, self._altered, self._gives, self._excessive):
             clock.reset()
-        self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
+        self._start_filters()
         self._begin(0.0, -math.inf)
+
+    def _start_filters(self) -> None:
+        self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
 
     def _begin(self, direction: float, until: float) -> None:
         """Pause the comparison until the time `until` (s), and then start it again."""
@@ -207,7 +210,7 @@ class PolarityCheck:
             return None
         if self._resting:
             self._resting = False
-            self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
+            self._start_filters()
             self._forget()
         if now < self._until:
             for band, value in ((self._torque, torque), (self._apart, apart), (self._joint, tau_j)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tsa_ctrl.identify.diagnosis.criteria import LEAST_GAIN
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
@@ -16,9 +15,7 @@ MOST_WORDS = 35  # largest number of words in the first sentence: a longer one n
 ALIKE = 1.5
 EXCLUDED = 3  # largest number of excluded effects in the remarks; the report lists all of them
 MOSTLY = 0.5  # share of the mean square of the residual: the first sentence mentions a formula that explains more
-NO_MORE = (
-    1.0 + LEAST_GAIN
-)  # ratio to the sensor noise up to which an error counts as noise: the accuracy of the noise estimate
+NO_MORE = 1.1  # ratio to the sensor noise up to which an error counts as noise: the accuracy of the noise estimate
 SMALL = 0.1  # N*m, RMS below which torques are printed in mN*m
 
 
