@@ -61,6 +61,20 @@ def test_agreement_is_no_contradiction() -> None:
     assert Motion().run(5.0) is None
 
 
+@pytest.mark.parametrize(("late", "sign", "found"), [(0.016, 1.0, False), (0.028, 1.0, False), (0.0, -1.0, True)])
+def test_the_reported_torque_is_compared_with_the_commands_that_may_act_now(
+    late: float, sign: float, found: bool
+) -> None:
+    """The command swings by 3.4 N*m at 10 Hz. A slow drive reports it late, and a reversed one with the other sign."""
+    check = at_rest()
+
+    def swing(time: float) -> float:
+        return 1.7 * math.sin(2.0 * math.pi * 10.0 * time)
+
+    said = [look(check, n * PERIOD, swing(n * PERIOD), sign * swing(n * PERIOD - late)) for n in range(1, 500)]
+    assert any(said) is found
+
+
 @pytest.mark.parametrize(("late", "found"), [(0.008, False), (1.0, True)])
 def test_a_step_after_long_rest_is_answered_within_30_ms(late: float, found: bool) -> None:
     """A drive without noise repeats its values at rest. The time to answer begins with the step.
@@ -164,7 +178,9 @@ def test_torque_error_is_tolerated_up_to_its_bound_and_for_its_time(
 
 
 def test_default_duration_is_a_tenth_of_a_second() -> None:
+    """It begins once the drive has had 30 ms to respond."""
     check = at_rest()
+    assert [look(check, n * PERIOD, 1.0) for n in range(15)] == [""] * 15
     assert [look(check, t, 1.0, 0.0) for t in (16.0, 16.0999)] == ["", ""]
     assert look(check, 16.1001, 1.0, 0.0)
 

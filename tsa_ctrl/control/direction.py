@@ -63,7 +63,7 @@ SLOWLY = 0.05  # of the mean's rate, at which the error of sensor and model is a
 SETTLED = 3.0  # times `MEAN` without a reversal, after which the mean is used
 AT_REST = 5e-3  # s of rest after which rest is certain, because a reversal passes the zone in less time
 TREMOR = 0.04  # s between two reversals of a trembling hand: the fastest human tremor has 12 Hz (Deuschl 1998)
-QUICK = 3  # successive reversals, each within `TREMOR`, that no hand makes
+QUICK = 3  # successive reversals that no hand makes, or that begin before the previous one has acted
 BEYOND = 1.5  # of the travel between them, because the term moves the joint farther at some reversals than at others
 MOST_PLAY = 0.02  # rad; a joint with more backlash is loose
 REMEMBERED = 5.0  # s, memory of the measured backlash; a limit cycle that returns shows it again within 0.1 s
@@ -267,14 +267,15 @@ class Direction:
     def _in_play(self) -> bool:
         """Return True if the joint has moved only within its backlash since the last reversal by its motion.
 
-        The friction term itself causes reversals that are faster than a tremor. Each one throws the joint across its
-        backlash, which looks like motion in the other direction. The travel between them is the backlash.
+        The friction term itself causes reversals that are faster than a tremor, or that begin before the previous one
+        has acted completely, after twice the lead. Each one throws the joint across its backlash, which looks like
+        motion in the other direction. The travel between them is the backlash.
         """
         angle = self._motion.angle
         way = abs(angle - self._swung_at)  # nan before the first one
         if way < self._gap:
             return True
-        self._quick = self._quick + 1 if self._since < TREMOR else 0
+        self._quick = self._quick + 1 if self._since < max(TREMOR, 2.0 * self.lead) else 0
         if self._quick >= QUICK:
             self._gap = min(MOST_PLAY, BEYOND * way)
         self._swung_at = angle

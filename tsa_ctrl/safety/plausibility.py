@@ -1,6 +1,6 @@
 """Detect faulty sensors and loose parts by contradictions between the measurements and the command.
 
-    torque        the reported motor torque differs from the commanded one
+    torque        the reported motor torque differs from every torque commanded within the drive's response time
     frozen        no bit of the drive's feedback changes although the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
                   sign, or a motor whose torque differs from the reported one (`residuals.Elongation`, or a given angle)
@@ -28,7 +28,7 @@ DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: too little to throw 
 PREDICTION_SHARE = 0.4  # of the model's torque without friction: the largest error of a calibration
 FROZEN_SHARE = 0.05  # of rated torque: change of the command while the feedback does not change
 BEGUN = 0.5  # of that change, above which the drive must respond: the noise of a constant command is smaller
-FROZEN_TIME = 0.03  # s within which the drive must then respond
+RESPONSE = 0.03  # s within which the drive must respond to a command: bus, torque loop and report of a slow drive
 SLIP_TIME = 0.01  # s beyond a given angle
 VELOCITY_TIME = 0.02  # s for which velocity and position must contradict each other
 
@@ -67,6 +67,7 @@ class Plausibility:
             DEFAULT_JOINT_TORQUE * limit * r_j / r_m if settings.joint_torque is None else settings.joint_torque
         )
         self._duration = settings.duration
+        self._acting = max(1, math.ceil(RESPONSE / period))  # commands that may act at one time
         self._slip = settings.slip
         self._frozen = FROZEN_SHARE * rated
         self._geared = r_j / r_m
@@ -85,6 +86,8 @@ class Plausibility:
     def reset(self) -> None:
         """Reset all checks while torque is not permitted."""
         self._offset = math.nan
+        self._sent = [0.0] * self._acting  # N*m, ring
+        self._place = 0
         for clock in (self._torque_wrong, self._joint_wrong, self._slipped, self._velocity_wrong):
             clock.reset()
         for check in (self._elongation, self._velocity, self._joint_rests):
@@ -142,13 +145,18 @@ class Plausibility:
                 self._moved_at = math.inf
             elif self._moved_at == math.inf:  # no response was due before
                 self._moved_at = now
-            if moved > self._frozen and now - self._moved_at > FROZEN_TIME:
+            if moved > self._frozen and now - self._moved_at > RESPONSE:
                 return Finding(
                     Cause.FROZEN,
                     f"no bit of it changed for {1e3 * (now - self._frozen_since):.0f} ms, while the command moved by "
                     f"{moved:.2f} N*m",
                 )
         clock, wrong = self._torque_wrong, not abs(command - tau_m) <= self._torque
+        sent = self._sent
+        if wrong:
+            wrong = not min(sent) - self._torque <= tau_m <= max(sent) + self._torque
+        self._place = place = (self._place or self._acting) - 1
+        sent[place] = command
         if (wrong or not clock.idle) and clock.update(now, wrong):
             return Finding(
                 Cause.TORQUE_ERROR,
