@@ -69,6 +69,17 @@ def test_after_a_reversal_the_output_is_frozen_until_the_input_moved_by_exp_2x(x
     assert turned / pulled[2] == pytest.approx(math.exp(2 * x), rel=2e-3)
 
 
+@pytest.mark.parametrize("curvature", ["uniform", "motor_end", "joint_end"])
+def test_contacts_that_stick_pass_on_at_most_one_percent_of_a_change(curvature: str) -> None:
+    """The motor moves back until the tension has changed by a fifth of the friction, and the joint is locked."""
+    tendons = Tendons(curvature)
+    for u in np.linspace(0.0, 4e-4, 400):
+        start = tendons.pull(u, 0.0)
+    while (start[2] - (now := tendons.pull(u, 0.0))[2]) < 0.2 * (start[2] - start[3]):
+        u -= 1e-7
+    assert abs(start[3] - now[3]) < 0.0101 * (start[2] - now[2])
+
+
 def test_a_slip_front_travels_from_the_motor_end() -> None:
     tendons = Tendons()
     for u in np.linspace(0.0, 4e-4, 400):

@@ -29,7 +29,7 @@ from tsa_ctrl.plant.effects import tension_factor
 # This part builds the chain of a tendon: the meaning of its rows, and the contacts and springs of the sheath's bends.
 
 RIGID = 1e10  # N/m, contact without bristle
-_MIN_LENGTH = 2e-5  # of the tendon's length: shortest spring, if a bend is at the very end of a sheath
+_LEAK = 0.01  # 1, of a change of the tension, that a sticking contact passes on because RIGID is finite
 
 
 class Row(IntEnum):
@@ -85,7 +85,9 @@ def build_chain(
     places = np.array([_place(curve, 0.5 * (a + b), e) for (a, b), e in zip(bends, edges[:-1], strict=True)])
     lengths = np.diff(np.concatenate(([0.0], places, [1.0]))) * length
     lengths[-1 if series_at_joint else 0] += series_length
-    lengths = np.maximum(lengths, _MIN_LENGTH * length)
+    # A spring at a contact would pass on EA / l / RIGID of a change. This is the shortest spring, if a bend is at the
+    # very end of a sheath.
+    lengths = np.maximum(lengths, stiffness / (_LEAK * RIGID))
     lengths *= (length + series_length) / lengths.sum()
     chain[Row.STIFFNESS] = stiffness / lengths
     chain[Row.LENGTH_SHARE] = lengths / (length + series_length)
