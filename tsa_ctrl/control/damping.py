@@ -12,8 +12,8 @@ The planned angle is compared with the measured one T_d later, when it acts. The
 wrong model) is removed. `law_design.gain_margin` returns the gain margin of k.
 
 Friction locks the tendons of a resting joint from their first bend on. The motor then oscillates faster, and the
-prediction may have the wrong phase. The damping of a resting joint is therefore used only if it is stable then
-(`law_design.is_stable_at_rest`). Without it, the hysteresis of the tendons ends the oscillation.
+prediction may have the wrong phase. The hysteresis of the tendons ends an oscillation that grows slowly. The damping of
+a resting joint is used unless the oscillation would grow faster (`law_design.is_stable_at_rest`).
 """
 
 from __future__ import annotations
