@@ -60,7 +60,7 @@ def gain_margin(gain: float, inertia: float, stiffness: float, delay: float, per
 
 
 def is_stable_at_rest(gain: float, inertia: float, stiffness: float, delay: float, period: float) -> bool:
-    """Return True if the oscillation grows by at most `ABSORBED` with each of `LOCKED`; arguments as for `gain_margin`."""
+    """Return True if the swing grows by at most `ABSORBED` with each of `LOCKED`; arguments as for `gain_margin`."""
     for share in LOCKED:
         oscillation = 2.0 * math.pi * math.sqrt(inertia / (share * stiffness)) / period  # periods
         growth = _radius(gain, inertia, share * stiffness, stiffness, delay, period) ** max(2.0, oscillation)
