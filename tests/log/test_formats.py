@@ -282,6 +282,28 @@ def test_without_a_header_all_questions_come_at_once_and_yes_takes_the_proposals
     np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)
 
 
+@pytest.mark.parametrize("head", ["t,tau_M,tau_J", "t,tau_M|N*m,tau_J"])
+def test_every_column_that_a_name_identifies_without_a_unit_has_a_proposal(
+    head: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It raises no question of its own if no other column has one."""
+    stated = "N*m" in head
+    np.savetxt(
+        tmp_path / "run.csv",
+        np.column_stack([T, TORQUE, 2.0 * TORQUE]),
+        delimiter=",",
+        comments="",
+        header=head.replace("|N*m", " [N*m]"),
+    )
+    line = (str(tmp_path / "run.csv"), "--out", str(tmp_path / "out"))
+    assert import_log(*line) == (0 if stated else 2)
+    said = capsys.readouterr()
+    assert "--column 'tau_j=tau_J|N*m'" in (said.out if stated else said.err)
+    assert import_log(*line, "--yes") == 0
+    found = read_table(tmp_path / "out/run.csv").columns
+    np.testing.assert_allclose(found["tau_j"], 2.0 * TORQUE, atol=1e-12)
+
+
 def test_a_stated_shape_is_taken_where_none_can_be_determined(tmp_path: Path) -> None:
     (tmp_path / "run.txt").write_text(
         "".join(f"{a}|{b}\n" for a, b in (("t", "x"), (0, 1), (1, 2), (2, 4))) + "words\n" * 300

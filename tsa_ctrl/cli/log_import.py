@@ -60,7 +60,7 @@ def understand_all(
     done, open_questions = [], []
     proposals: list[str] = []
     for path in paths:
-        found, asked = understand(path, map_file, given, rate)
+        found, asked = understand(path, map_file, given, accept, rate)
         done += [] if found is None else [found]
         fixed = [question for question, proposal in asked if not proposal]
         proposals = list(dict.fromkeys([*proposals, *(proposal for _, proposal in asked if proposal)]))
@@ -74,7 +74,7 @@ def understand_all(
 
 
 def understand(
-    path: Path, map_file: Path | None, given: Sequence[str], rate: float | None = None
+    path: Path, map_file: Path | None, given: Sequence[str], accept: bool, rate: float | None = None
 ) -> tuple[Understood | None, list[tuple[str, str]]]:
     """Read and map one file.
 
@@ -82,6 +82,7 @@ def understand(
         path: file of another program.
         map_file: mapping file, or None.
         given: columns of the command line.
+        accept: the proposals answer all questions.
         rate: sampling rate in Hz of a file without a time column; None takes the rate of the mapping file.
 
     Returns:
@@ -130,6 +131,11 @@ def understand(
         if proposal:
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
     _reject_long_format(table, mapped)
+    if not file.column and (accept or asked):  # a column that is not needed raises no question of its own
+        for proposal in mapping.without_unit(table, mapped):
+            name, settings = mapping.parse_column(proposal)
+            mapped += mapping.resolve(table, {name: settings}, "proposal")
+            asked.append((f"the unit of {name} from '{settings.source}' is not stated", proposal))
     if any(not proposal for _, proposal in asked):
         return None, asked
     columns, note = mapping.take(table, mapped)
