@@ -26,7 +26,7 @@ from tsa_ctrl.tune.estimate import Estimate
 FloatArray = NDArray[np.float64]
 
 EFFECT = "torque_ripple"
-FEWEST = 2.0  # cycles within the motion: a slower wave cannot be distinguished from other errors of the model
+FEWEST = 1.0  # cycles within the motion: less of a wave is a parabola, like other errors of the model
 MOST = 120  # cycles per revolution: slots times poles of usual motors
 SURE = 2.5  # standard errors over the blocks by which the error of the other half must decrease
 
