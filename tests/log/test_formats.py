@@ -286,7 +286,7 @@ def test_without_a_header_all_questions_come_at_once_and_yes_takes_the_proposals
 def test_every_column_that_a_name_identifies_without_a_unit_has_a_proposal(
     head: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It raises no question of its own if no other column has one."""
+    """Optional columns alone raise no question."""
     stated = "N*m" in head
     np.savetxt(
         tmp_path / "run.csv",
