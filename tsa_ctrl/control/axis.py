@@ -15,6 +15,9 @@ from tsa_ctrl.control.estimator import ConfigurationMap, Estimator, Fixed, Sampl
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.control.temperature import Temperature
+from tsa_ctrl.model.composition import Stack
+from tsa_ctrl.model.effects.lever import unmoved
+from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
@@ -195,6 +198,8 @@ class ControlAxis:
         self._nominal = self._used
         self._sliding = sliding_by(model)
         self._nominal_half_loop = abs(self._sliding(1.0, *self._nominal).motor_half_loop)
+        self._motor_effects = Stack.of(model.effects, model.source).motor_torque
+        self._still = unmoved(model.bending_angle)
         self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
         self._has_torque_sensor = has_torque_sensor
@@ -298,12 +303,12 @@ class ControlAxis:
             image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, terms.routed
         )
         proven, law = self.compensation_limit.proven, self.law
-        stretch = self.joint_torque.stretch
+        stretch, tau_m = self.joint_torque.stretch, self._tendon_torque()
         if stretch is not None and image.fresh and stretch.state is StretchState.ESTIMATED:
             proven.compare(
                 instruments.tau_j,
                 stretch.torque,
-                image.tau_m,
+                tau_m,
                 terms.q_m,
                 terms.q_j,
                 stretch.confirmation.confirmed,
@@ -315,7 +320,7 @@ class ControlAxis:
             proven.pause()
         else:
             proven.update(
-                image.tau_m,
+                tau_m,
                 image.omega_m,
                 terms.q_m,
                 terms.q_j,
@@ -369,6 +374,18 @@ class ControlAxis:
         self.adapt()
         self._watch()
         self.law.update_backoff(self.set_point.rate, self.set_point.silent)
+
+    def _tendon_torque(self) -> float:
+        """Return the reported motor torque with the ripple and torque constant of the model, but without friction, N*m.
+
+        A ripple depends on the motor angle alone, so its compensation adds no energy in a cycle. Friction is left out
+        by a state at rest.
+        """
+        tau_m, state = self.image.tau_m, self._still
+        state.q_m = self.terms.q_m
+        for effect in self._motor_effects:
+            tau_m = effect.apply(SCALARS, tau_m, state)
+        return tau_m
 
     def _expected(self) -> tuple[float, float]:
         """Return the joint torque (N*m) of the model for the motor torque, with friction in either direction.
