@@ -17,6 +17,8 @@ import pytest
 
 from tests.model.capstan import Pair
 from tests.virtual.joints import GAIT, error, play, play_case, rms, sine
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
@@ -171,3 +173,16 @@ def test_a_wearer_who_is_faster_than_the_limit_backs_no_compensation_off(
     assert (log["limit_reason"] == Reason.SPEED.value).any()
     assert not (log["limit_reason"] == Reason.PASSIVITY.value).any()
     assert np.abs(log["omega_m"]).max() < 1.1 * 1.25 * np.abs(log["omega_j"]).max()
+
+
+def test_a_known_ripple_is_not_taken_for_missing_friction(tmp_path: Path) -> None:
+    """The friction torque is 0.09 N*m at the motor. A ripple of 0.035 N*m opposes and supports it."""
+    light = NOMINAL.recalibrated(0.05, NOMINAL.pretension)
+    ripple = {"amplitude": 0.035, "cycles_per_revolution": 6, "phase": 2.9}
+    save_model(light, tmp_path / "light.toml")
+    effects = {"elongation_coupling": {"curvature_profile": "uniform"}, "torque_ripple": ripple}
+    save_model(light.with_effects(effects), tmp_path / "known.toml")
+    plant = {"actuator": "light.toml", "effects": {"torque_ripple": ripple}}
+    found = sound(play(tmp_path, "imposed", GAIT, GAITS, axis={"model": "known.toml"}, plant=plant)).axes[0]
+    assert not np.any(found.log["limit_reason"][found.counted] == Reason.UNPROVEN.value)
+    assert 1e3 * rms(found.error) < 7.0
