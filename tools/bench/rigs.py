@@ -1,7 +1,6 @@
 """Tune random rigs with the effects of real rigs by `tsa tune`, and evaluate the controllers on other runs.
 
 Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--rate 1000] [--rows FILE] [--keep FOLDER] [--json]
-       [--learned]
 
 Seed and number determine a random rig: friction angle (0.05 to 1.2), curvature profile, motor inertia, delay, noise and
 encoders (12 to 20 bit). A rig also has a random choice of torque ripple, friction of the motor's gear, backlash, an
@@ -12,10 +11,6 @@ on a prescribed motion, a locked joint and a human-in-the-loop load, and with a 
 Reduction = 1 - RMS error / RMS error without compensation. The error is the plant's joint torque minus the set-point
 after the fade-in. The last column is the RMS error of the small sine, whose RMS is 14.1 mN*m. Without --seed every run
 has other rigs, and prints its seed. --keep writes the files of each rig to a folder and keeps them.
-
---learned adds the error of a command that was learned on the rig: the motor torque over time, corrected in several runs
-of the prescribed motion by the true error of the joint torque. The limit of the error is 1.3 times the larger of this
-error and 5 % of the error without compensation.
 """
 
 from __future__ import annotations
@@ -42,11 +37,9 @@ from tools.command import Row
 from tsa_ctrl.demo import rig as demo
 from tsa_ctrl.demo.rig import VIRTUAL, gait, play_for
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.model.curvature import Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward
-from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
-from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.system.process_supervisor import tsa
 from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.simulation import simulate_loop
@@ -58,9 +51,6 @@ OFF = 0.2  # file over truth minus 1, largest magnitude: friction, pretension, s
 INERTIA = (3e-5, 6e-4)  # kg*m^2 at the motor pulley
 STIFFNESS = (0.6, 1.8)  # of the demo's tendons
 PRESENT = 0.5  # probability of each effect
-LEARNING, ROUNDS = 0.5, 6  # correction of the learned command by the error, and runs of which the best counts
-SMOOTH = 0.012  # s, mean of the correction, because faster corrections excite the motor on its tendons
-ALLOWED, LEAST_LEFT = 1.3, 0.05  # times the larger error; share of the error without compensation
 SMALL = 0.02  # N*m, amplitude of the small sine
 SECONDS = {"imposed": 4.4, "held": 4.4, "wearer": 9.0, "small": 5.2}  # s of torque, including 1 s of fade-in
 TUNING = ("--seconds", "20", "--verify-seconds", "8")
@@ -222,11 +212,8 @@ def drawn_effects(rng: np.random.Generator) -> tuple[dict[str, dict[str, Any]], 
     return here, [[0.0, 25.0], [60.0, warm]] if "thermal_friction_drift" in here else []
 
 
-def trial(rig: Rig, folder: Path, learns: bool) -> Row:
-    """Write, tune and evaluate one rig. The row has the outcome, the reductions (%) and the error of the small sine.
-
-    If `learns`, it also has the error of a learned command.
-    """
+def trial(rig: Rig, folder: Path) -> Row:
+    """Write, tune and evaluate one rig. The row has the outcome, the reductions (%) and the error of the small sine."""
     rig.write(folder)
     row: Row = {
         "seed": rig.seed,
@@ -250,11 +237,6 @@ def trial(rig: Rig, folder: Path, learns: bool) -> Row:
             row |= evaluate(folder, name)
         except (BusError, UsageError) as error:
             row["outcome"] += f"; {name}: {error}"
-    if learns:
-        try:
-            row["learned"] = learned(folder)
-        except (BusError, UsageError) as error:
-            row["outcome"] += f"; learned: {error}"
     return row
 
 
@@ -265,8 +247,6 @@ def evaluate(folder: Path, name: str) -> Row:
     if faults := [*tuned.faults, *none.faults]:
         row[f"{name}_faults"] = faults
     row[name] = 1e3 * rms(tuned.error) if name == "small" else 100.0 * (1.0 - rms(tuned.error) / rms(none.error))
-    if name == "imposed":
-        row |= {"error": rms(tuned.error), "error_without": rms(none.error)}
     return row
 
 
@@ -288,58 +268,9 @@ def play(folder: Path, name: str, law: str) -> AxisResult:
     return simulate_loop(path, folder / f"plant-{joint}.toml", SECONDS[name]).axes[0]
 
 
-def learned(folder: Path) -> float:
-    """Return the smallest RMS error of the joint torque, N*m, with a command learned for the prescribed motion.
-
-    The controller sends the command as a set-point without compensation. Its model has almost no friction, so that no
-    check compares the command with the tendons, and it has no torque sensor.
-
-    Raises:
-        BusError: A run ended early.
-        UsageError: The command is beyond the limits of the rig.
-    """
-    tuned = play(folder, "imposed", "tuned")
-    t, wanted, counted = tuned.log["t"], tuned.log["tau_j_des"], tuned.counted
-    tables = tomllib.loads((folder / "out" / "controller.toml").read_text(encoding="utf-8"))
-    axis = tables["axis"][0]
-    model = load_tendon_sheath(folder / "out" / Path(axis["model"]).name)
-    save_model(model.recalibrated(0.02, 5.0 * model.pretension), folder / "loose.toml")
-    late = axis["law"].get("delay", 0.0)
-    axis |= {"model": "loose.toml", "law": {"compensation": 0.0, "fade_in": demo.FADE_IN}}
-    axis["setpoint"] = {"kind": "file", "file": "learned.csv"}
-    axis.pop("torque_sensor")
-    path = folder / "evaluate-learned.toml"
-    path.write_text(tomlkit.dumps(tables), encoding="utf-8")
-    gearing = model.joint_pulley_radius / model.motor_pulley_radius
-    most = 0.98 * axis["limits"]["torque"] * gearing
-    enabled = (tuned.log["limit_reason"] != Reason.DISABLED.value) & (t < tuned.until)
-    start = t[np.flatnonzero(enabled)[0]]  # the set-point's time 0
-    command = tuned.log["tau_m_cmd"] * gearing
-    width = max(1, round(SMOOTH * tables["controller"]["rate"]))
-    least = math.inf
-    for _ in range(ROUNDS):
-        write_columns(folder / "learned.csv", {"t": t[enabled] - start, "tau_j_des": command[enabled]}, keeping=False)
-        run = simulate_loop(path, folder / "plant-imposed.toml", SECONDS["imposed"]).axes[0]
-        if run.faults or run.log["t"].size < t.size:
-            raise BusError(f"the run ended early: {', '.join(run.faults)}")
-        error = run.delivered[: t.size] - wanted
-        least = min(least, rms(error[counted]))
-        error[~enabled] = 0.0
-        correction = np.convolve(np.interp(t + late, t, error), np.full(width, 1.0 / width), "same")
-        command = np.clip(command - LEARNING * correction, -most, most)
-    return least
-
-
-def is_within(row: Row) -> bool:
-    """Return True if the error with the prescribed motion is within the limit by the learned command."""
-    return bool(row["error"] <= ALLOWED * max(row["learned"], LEAST_LEFT * row["error_without"]))
-
-
 def report(rows: list[Row]) -> Iterator[Table | str]:
     """Yield a row for each rig, and the reductions over all rigs."""
-    heads = ("rig", "s_c", "x", "bits", "effects", "outcome", "imposed %", "held %", "wearer %", "small mN·m")
-    learns = any("learned" in row for row in rows)
-    table = Table(*heads, *["learned %", "within"] * learns)
+    table = Table("rig", "s_c", "x", "bits", "effects", "outcome", "imposed %", "held %", "wearer %", "small mN·m")
     names = ("imposed", "held", "wearer", "small")
     for row in rows:
         cells = [f"{row[name]:.1f}" if name in row else "-" for name in names]
@@ -347,13 +278,8 @@ def report(rows: list[Row]) -> Iterator[Table | str]:
         outcome = "; ".join([row["outcome"], *faults])
         bits = "/".join(str(value) for value in row["bits"])
         effects = ", ".join(row["effects"]) or "none"
-        if "learned" in row:
-            cells += [f"{100.0 * (1.0 - row['learned'] / row['error_without']):.1f}", "yes" if is_within(row) else "no"]
         table.add_row(str(row["rig"]), f"{row['centre']:.2f}", f"{row['x']:.2f}", bits, effects, outcome, *cells)
     yield table
-    if learns:
-        compared = [row for row in rows if "learned" in row]
-        yield f"prescribed motion: {sum(map(is_within, compared))} of {len(compared)} rigs within the limit"
     for name, worst in (("imposed", min), ("held", min), ("wearer", min), ("small", max)):
         values = [row[name] for row in rows if name in row]
         if values:
@@ -366,19 +292,18 @@ def main() -> int:
     command.share(parser, "rigs first seed rows processes json", rigs=6)
     parser.add_argument("--keep", type=Path, help="folder for the files of each rig")
     parser.add_argument("--rate", type=float, default=1000.0, help="Hz of the loop (default: 1000)")
-    parser.add_argument("--learned", action="store_true", help="also learn a command on each rig")
     arguments = parser.parse_args()
     command.seeded(arguments)
     numbers = range(arguments.first, arguments.first + arguments.rigs)
     asked = [(arguments.seed, number, arguments.rate) for number in numbers]
-    work = functools.partial(made, arguments.keep, arguments.learned)
+    work = functools.partial(made, arguments.keep)
     rows = command.run_rows(work, asked, lambda row: (row["seed"], row["rig"], row["rate"]), arguments)
     command.print_tables(rows, arguments, lambda: [f"seed {arguments.seed}", *report(rows)])
     return 0
 
 
-def made(keep: Path | None, learns: bool, asked: tuple[int, int, float]) -> Row:
+def made(keep: Path | None, asked: tuple[int, int, float]) -> Row:
     """Generate, tune and evaluate one rig. With `keep` its files stay in a folder there."""
     seed, number, rate = asked
     with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
-        return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}-{rate:g}", learns)
+        return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}-{rate:g}")
