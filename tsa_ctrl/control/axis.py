@@ -379,9 +379,11 @@ class ControlAxis:
         """Return the reported motor torque with the ripple and torque constant of the model, but without friction, N*m.
 
         A ripple depends on the motor angle alone, so its compensation adds no energy in a cycle. Friction is left out
-        by a state at rest.
+        by a state at rest. A file that no tuning of this joint wrote may have the ripple of another motor.
         """
         tau_m, state = self.image.tau_m, self._still
+        if not self.trusted:
+            return tau_m
         state.q_m = self.terms.q_m
         for effect in self._motor_effects:
             tau_m = effect.apply(SCALARS, tau_m, state)
