@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.virtual.files import controller, write
-from tests.virtual.test_joint_files import NODES, tuned
+from tests.virtual.files import controller, write, write_provenance
+from tests.virtual.test_joint_files import NODES
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.compensation_limit import bound_of
@@ -20,7 +20,7 @@ def files(folder: Path, source: str, interface: str = "socketcan") -> Path:
     """Write a controller file for this interface and a model file with this source. Return the controller file."""
     bus = {"bus": {"interface": interface, "channel": "can0" if interface == "socketcan" else "239.255.74.1"}}
     path, _ = write(folder, controller(file=bus))
-    tuned(folder / "actuator.toml", source=source, intervals=INTERVALS, **NODES)
+    write_provenance(folder / "actuator.toml", source=source, intervals=INTERVALS, **NODES)
     return path
 
 

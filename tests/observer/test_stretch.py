@@ -86,11 +86,16 @@ def test_the_torque_of_a_walk_is_known_though_friction_and_pretension_are_not(ga
     assert_known(gait)
 
 
+# Known limitation: on a locked joint with bends at the motor, the error is 3.1 % with the default damping of the motor,
+# and 2.5 % without damping.
+DAMPED = "the damping of the motor disturbs the observer on a locked joint with bends at the motor"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "curvature"),
     [
-        ("held", "motor_end"),
+        pytest.param("held", "motor_end", marks=pytest.mark.xfail(reason=DAMPED, strict=True)),
         ("weight", "uniform"),
         pytest.param("gait", "motor_end", marks=pytest.mark.soak),
         pytest.param("held", "uniform", marks=pytest.mark.soak),
@@ -98,8 +103,13 @@ def test_the_torque_of_a_walk_is_known_though_friction_and_pretension_are_not(ga
     ],
 )
 def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Path, case: str, curvature: str) -> None:
-    """The motor is not damped. Open: damping raises the error of the locked joint from 2.5 to 3.1 %."""
-    assert_known(play_case(tmp_path, case, curvature=curvature, plant=OFF, axis={"law": {"damping": 0.0}}))
+    assert_known(play_case(tmp_path, case, curvature=curvature, plant=OFF))
+
+
+@pytest.mark.slow
+def test_the_torque_of_a_locked_joint_is_known_if_the_motor_is_not_damped(tmp_path: Path) -> None:
+    """This is the case that `DAMPED` excludes above."""
+    assert_known(play_case(tmp_path, "held", curvature="motor_end", plant=OFF, axis={"law": {"damping": 0.0}}))
 
 
 @pytest.mark.slow

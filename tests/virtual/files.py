@@ -56,3 +56,10 @@ def write(
     for path, tables in zip(paths, (controller_tables or controller(), plant_tables or plant()), strict=True):
         path.write_text(tomlkit.dumps(tables), encoding="utf-8")
     return paths
+
+
+def write_provenance(path: Path, **provenance: Any) -> None:
+    """Write this `[provenance]` to a model file."""
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    document["provenance"] = provenance
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tomlkit
 
-from tests.virtual.files import controller, merged, plant, write
+from tests.virtual.files import controller, merged, plant, write, write_provenance
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.process import check
@@ -18,20 +17,13 @@ NODES = {"drive": {"serial_number": 4711, "node_id": 1}, "encoder": {"serial_num
 PLANT = {"drive": {"serial_number": 4711}, "encoder": {"serial_number": 815}}
 
 
-def tuned(path: Path, **provenance: Any) -> None:
-    """Write this `[provenance]` to a model file."""
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
-    document["provenance"] = provenance
-    path.write_text(tomlkit.dumps(document), encoding="utf-8")
-
-
 def trusted(
     folder: Path, provenance: dict[str, Any], nodes: dict[str, Any] = PLANT, axis: dict[str, Any] | None = None
 ) -> bool:
     """Return True if the axis' file is trusted after the bring-up with these nodes. A rejected drive is not written."""
     paths = write(folder, controller(**(axis or {})), plant(**nodes))
     if provenance:
-        tuned(folder / "actuator.toml", **provenance)
+        write_provenance(folder / "actuator.toml", **provenance)
     run = Run(load_configuration(paths[0]), check(paths[1]), 0.1)
     assert not run.axes[0].trusted
     try:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.model.capstan import Pair
+from tests.virtual.files import write_provenance
 from tests.virtual.joints import GAIT, error, play, play_case, rms, sine
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import save_model
@@ -24,7 +25,7 @@ from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 
 CONSTANT = {"kind": "constant", "offset": 0.3}  # N*m
-SERIAL_NUMBERS = {"drive": 1, "encoder": 32}  # of the plant's nodes, equal to their node ids
+NODES = {"drive": {"serial_number": 1, "node_id": 1}, "encoder": {"serial_number": 32, "node_id": 32}}
 QUIET_AFTER = 3.0  # s after the last change of the set-point
 GAITS = 3.0  # s, nearly two cycles of the gait
 SINES = 3.2  # s, one period after the first second
@@ -185,9 +186,7 @@ def test_the_ripple_of_a_tuned_file_is_not_taken_for_missing_friction(tmp_path: 
     effects = {"elongation_coupling": {"curvature_profile": "uniform"}, "torque_ripple": ripple}
     save_model(light.with_effects(effects), tmp_path / "known.toml")
     if tuned:
-        nodes = [f"[provenance.{name}]\nserial_number = {n}\nnode_id = {n}" for name, n in SERIAL_NUMBERS.items()]
-        with (tmp_path / "known.toml").open("a", encoding="utf-8") as file:
-            file.write("\n".join(["\n[provenance]\nsource = 'simulated'", *nodes]))
+        write_provenance(tmp_path / "known.toml", source="simulated", **NODES)
     plant = {"actuator": "light.toml", "effects": {"torque_ripple": ripple}}
     found = sound(play(tmp_path, "imposed", GAIT, GAITS, axis={"model": "known.toml"}, plant=plant)).axes[0]
     assert bool(np.any(found.log["limit_reason"][found.counted] == Reason.UNPROVEN.value)) is not tuned

@@ -131,7 +131,7 @@ def understand(
         if proposal:
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
     _reject_long_format(table, mapped)
-    if not file.column and (accept or asked):  # optional columns alone raise no question
+    if not file.column and (accept or asked):  # without another question, optional columns are only a note
         for proposal in mapping.without_unit(table, mapped):
             name, settings = mapping.parse_column(proposal)
             mapped += mapping.resolve(table, {name: settings}, "proposal")

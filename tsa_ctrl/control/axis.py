@@ -198,7 +198,7 @@ class ControlAxis:
         self._nominal = self._used
         self._sliding = sliding_by(model)
         self._nominal_half_loop = abs(self._sliding(1.0, *self._nominal).motor_half_loop)
-        self._motor_effects = Stack.of(model.effects, model.source).motor_torque
+        self._effects = Stack.of(model.effects, model.source)
         self._still = unmoved(model.bending_angle)
         self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
@@ -303,7 +303,8 @@ class ControlAxis:
             image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, terms.routed
         )
         proven, law = self.compensation_limit.proven, self.law
-        stretch, tau_m = self.joint_torque.stretch, self._tendon_torque()
+        stretch = self.joint_torque.stretch
+        tau_m = self._frictionless_torque() if image.fresh else math.nan
         if stretch is not None and image.fresh and stretch.state is StretchState.ESTIMATED:
             proven.compare(
                 instruments.tau_j,
@@ -375,19 +376,17 @@ class ControlAxis:
         self._watch()
         self.law.update_backoff(self.set_point.rate, self.set_point.silent)
 
-    def _tendon_torque(self) -> float:
+    def _frictionless_torque(self) -> float:
         """Return the reported motor torque with the ripple and torque constant of the model, but without friction, N*m.
 
-        A ripple depends on the motor angle alone, so its compensation adds no energy in a cycle. Friction is left out
-        by a state at rest. A file that no tuning of this joint wrote may have the ripple of another motor.
+        A ripple depends on the motor angle alone, so its compensation adds no energy in a cycle. The direction in
+        `_still` is 0, so friction in the motor adds nothing. A file that no tuning of this joint wrote may have the
+        ripple of another motor.
         """
-        tau_m, state = self.image.tau_m, self._still
         if not self.trusted:
-            return tau_m
-        state.q_m = self.terms.q_m
-        for effect in self._motor_effects:
-            tau_m = effect.apply(SCALARS, tau_m, state)
-        return tau_m
+            return self.image.tau_m
+        self._still.q_m = self.terms.q_m
+        return self._effects.on_the_pulley(SCALARS, self.image.tau_m, self._still)
 
     def _expected(self) -> tuple[float, float]:
         """Return the joint torque (N*m) of the model for the motor torque, with friction in either direction.

@@ -82,9 +82,7 @@ class EffectRemoval:
 
     def motor(self, tau_m: float) -> float:
         """Return the torque on the motor pulley for the motor torque that the drive reports, both in N*m."""
-        for effect in self._stack.motor_torque:
-            tau_m = effect.apply(SCALARS, tau_m, self._state)
-        return tau_m
+        return self._stack.on_the_pulley(SCALARS, tau_m, self._state)
 
     def joint(self, tau_j: float) -> float:
         """Return the torque of the tendons for a torque that is measured or known behind the joint, both in N*m."""

@@ -63,6 +63,7 @@ def is_stable_at_rest(gain: float, inertia: float, stiffness: float, delay: floa
     """Return True if the swing grows by at most `ABSORBED` with each of `LOCKED`; arguments as for `gain_margin`."""
     for share in LOCKED:
         oscillation = 2.0 * math.pi * math.sqrt(inertia / (share * stiffness)) / period  # periods
+        # a sampled oscillation has at least two periods
         growth = _radius(gain, inertia, share * stiffness, stiffness, delay, period) ** max(2.0, oscillation)
         if growth > ABSORBED:
             return False

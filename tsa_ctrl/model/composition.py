@@ -127,6 +127,12 @@ class Stack:
             stretch=present.at(Stage.STRETCH),
         )
 
+    def on_the_pulley(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:
+        """Return the torque on the motor pulley for a reported motor torque, N*m, without a formula of the user."""
+        for effect in self.motor_torque:
+            tau_m = effect.apply(functions, tau_m, state)
+        return tau_m
+
     def custom_at(self, stage: str) -> Custom | None:
         """Return the formula of the file if it acts on this side ("motor" or "joint"), otherwise None."""
         return self.custom if self.custom is not None and self.custom.stage == stage else None

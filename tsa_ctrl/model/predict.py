@@ -106,8 +106,7 @@ def _tendon_torque(
 
 def _on_the_tendons(stack: Stack, state: State[Array], tau_m: Array) -> Array:
     """Return the part of the reported motor torque that acts on the pulley, N*m."""
-    for effect in stack.motor_torque:
-        tau_m = effect.apply(ARRAYS, tau_m, state)
+    tau_m = stack.on_the_pulley(ARRAYS, tau_m, state)
     if (custom := stack.custom_at("motor")) is not None:
         tau_m = tau_m - custom.taken(tau_m, state)
     return tau_m

@@ -29,7 +29,7 @@ from tsa_ctrl.plant.effects import tension_factor
 # This part builds the chain of a tendon: the meaning of its rows, and the contacts and springs of the sheath's bends.
 
 RIGID = 1e10  # N/m, contact without bristle
-_LEAK = 0.01  # 1, of a change of the tension, that a sticking contact passes on because RIGID is finite
+_LEAK = 0.01  # largest share of a change of the tension that a sticking contact passes on, because RIGID is finite
 
 
 class Row(IntEnum):
@@ -85,8 +85,8 @@ def build_chain(
     places = np.array([_place(curve, 0.5 * (a + b), e) for (a, b), e in zip(bends, edges[:-1], strict=True)])
     lengths = np.diff(np.concatenate(([0.0], places, [1.0]))) * length
     lengths[-1 if series_at_joint else 0] += series_length
-    # A spring at a contact would pass on EA / l / RIGID of a change. This is the shortest spring, if a bend is at the
-    # very end of a sheath.
+    # Behind a sticking contact, a spring of the length l receives the share EA / (l RIGID) of a change. A bend at the
+    # very end of a sheath would have l = 0.
     lengths = np.maximum(lengths, stiffness / (_LEAK * RIGID))
     lengths *= (length + series_length) / lengths.sum()
     chain[Row.STIFFNESS] = stiffness / lengths
