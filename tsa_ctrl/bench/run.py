@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -70,12 +71,18 @@ class Measured:
 
 
 def measure(
-    configuration: Configuration, bus: Bus, rate: float, seconds: float, enable: bool, progress: Callable[[float], None]
+    configuration: Configuration,
+    bus: Bus,
+    rate: float,
+    seconds: float,
+    enable: bool,
+    nodes: Callable[[], contextlib.AbstractContextManager[None]],
+    progress: Callable[[float], None],
 ) -> Measured:
     """Run the cycle of the loop, including its log, without other processes.
 
-    Torque is requested only if `enable` is True. `progress` repeatedly receives the completed share. The bus stays
-    open.
+    Torque is requested only if `enable` is True. The cycles run within `nodes()`, which provides operational nodes.
+    `progress` repeatedly receives the completed share. The bus stays open.
     """
     file = configuration.file
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
@@ -85,9 +92,11 @@ def measure(
     ring = RingWriter(len(axes))
     try:
         telemetry = Telemetry(rig, axes, tuners, mailbox, ring, None, Events())
-        rig.start()
         count = max(LEAST, round(seconds * rate))
-        return _run(rig, axes, telemetry, rate, count, file.controller.collect / rate, enable, progress)
+        freeze_garbage()  # slow, and the drives miss our heartbeat between bring-up and the first cycle
+        with nodes():
+            rig.start()
+            return _run(rig, axes, telemetry, rate, count, file.controller.collect / rate, enable, progress)
     finally:
         ring.close()
         mailbox.close()
@@ -107,7 +116,6 @@ def _run(
     times: list[tuple[float, float, float]] = []  # s: wake-up after the deadline, to the last command, and to the end
     clock, period = time.monotonic_ns, round(1e9 / rate)
     first = round(WARM_UP * count)
-    freeze_garbage()
     deadline = clock() + 2 * period
     for number in range(first + count):
         rig.wait(deadline * 1e-9)
@@ -236,8 +244,7 @@ def bench(
         simulated = _nobody(configuration, bus)
         rights = realtime.acquire(msgspec.structs.replace(configuration.file.realtime, allow_without=True))
         try:
-            with _nodes(configuration, bus, simulated, say):
-                return _measure(configuration, bus, seconds, margin, simulated, rights, progress)
+            return _measure(configuration, bus, seconds, margin, simulated, rights, say, progress)
         finally:
             realtime.release()
     finally:
@@ -306,12 +313,16 @@ def _measure(
     margin: float,
     simulated: bool,
     rights: realtime.Rights,
+    say: Callable[[str], None],
     progress: Progress,
 ) -> Found:
     file = configuration.file
 
     def at(rate: float) -> Measured:
-        return measure(configuration, bus, rate, seconds, simulated, lambda share: progress(f"{rate:g} Hz", share))
+        nodes = partial(_nodes, configuration, bus, simulated, say)
+        return measure(
+            configuration, bus, rate, seconds, simulated, nodes, lambda share: progress(f"{rate:g} Hz", share)
+        )
 
     configured = at(file.controller.rate)
     if configured.lost == configured.cycles:
