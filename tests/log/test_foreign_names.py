@@ -44,6 +44,10 @@ CASES = [
     ("motor_torque_N_m", "tau_m", "N_m"), ("motor torque lbf in", "tau_m", "lbf in"), ("torque_nm", "", "nm"),
     ("joint_vel_deg_per_s", "omega_j", "deg_per_s"), ("joint_angle_rad_min", "", None),
     ("motor angle velocity [rpm]", "omega_m", "rpm"), ("joint1/motor/torque", "tau_m tau_j", None),
+    # derivatives, the terms of ROS and of robots
+    ("theta_dot_m", "omega_m", None), ("qdot_j", "omega_j", None), ("phi_punkt_Motor", "omega_m", None),
+    ("theta_ddot_m", "", None), ("motor acceleration", "", None), ("ddq_m", "", None), ("joint.effort", "tau_j", None),
+    ("tau_ext", "tau_j", None), ("link position [rad]", "q_j", "rad"), ("rotor_speed", "omega_m", None),
     # time
     ("t_ms", "t", "ms"), ("s", "t", None), ("time (h:m:s)", "t", "h:m:s"), ("Clock [s]", "t", "s"),
     ("T [degC]", "", "degC"),
@@ -103,12 +107,52 @@ def test_of_several_names_the_best_is_used_or_a_question_is_open(names: list[str
         (["i_q", "iq", "Strom", "I", "i_sd", "voltage", "U", "force"], "tau_m", ""),
         (["torque error", "motor torque command", "torque limit", "angle", "speed", "x [deg]", "i [A]"], "tau_m", ""),
         (["knee torque", "x"], "tau_m", "tau_m=x|N*m"),
+        (["q", "dq", "x", "tau"], "tau_m", "tau_m=tau|N*m"),
+        (["q", "dq", "theta_dot", "Position"], "tau_m", ""),
         (["angle", "x"], "t", "t=x|s"),
         (["x_ms"], "t", "t=x_ms|ms"),
     ],
 )
 def test_a_proposal_uses_the_unit_and_no_other_quantity(names: list[str], missing: str, proposal: str) -> None:
     assert mapping.propose(table(names), missing, set()) == proposal
+
+
+PLACES = [
+    (["motor torque [Nm]", "q", "dq"], {"q_m=q|rad", "omega_m=dq|rad/s"}),
+    (["motor torque [Nm]", "joint torque [Nm]", "Winkel [deg]", "n"], {"q_j=Winkel [deg]|deg", "omega_j=n|rad/s"}),
+    (["motor torque [Nm]", "torque", "angle"], {"tau_j=torque|N*m", "q_j=angle|rad"}),
+    (["motor torque [Nm]", "q_m", "position"], {"q_j=position|rad"}),
+    (["motor torque [Nm]", "q1", "q2", "hand position", "q_des", "speed limit"], set()),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("names", "proposals"), PLACES)
+def test_a_quantity_without_motor_or_joint_is_proposed_where_it_is_missing(
+    names: list[str], proposals: set[str]
+) -> None:
+    foreign = table(names)
+    found = mapping.identify(foreign, {})
+    mapped = mapping.resolve(foreign, found.columns, "")
+    assert {proposal for _, proposal in mapping.optional(foreign, mapped)} == proposals
+
+
+@pytest.mark.parametrize(
+    ("names", "remedy"),
+    [
+        (["Angle (deg)", "Current (A)"], "give --column 'tau_m=Current (A)|A*K', where K is the torque constant"),
+        (["q_m", "tau_cmd"], "to use the commanded torque, give --column 'tau_m=tau_cmd|N*m'"),
+        (["joint torque command", "x [V]"], "give --column tau_m=NAME|UNIT"),
+    ],
+)
+def test_the_remedy_names_a_current_or_a_commanded_torque(names: list[str], remedy: str) -> None:
+    assert mapping.remedy_of(table(names), "tau_m") == remedy
+
+
+def test_forces_are_named_in_a_log_without_joint_torque() -> None:
+    foreign = table(["Load cell (N)", "motor torque [Nm]", "joint torque [Nm]"])
+    mapped = mapping.resolve(foreign, mapping.identify(foreign, {}).columns, "")
+    assert mapping.forces(foreign, []) == ["Load cell (N)"]
+    assert mapping.forces(foreign, mapped) == []
 
 
 def test_a_row_number_is_not_proposed_as_time() -> None:

@@ -16,7 +16,7 @@ from tsa_ctrl.identify.dataset import LEAST_PRESENT, NEEDED
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.cells import is_number
 from tsa_ctrl.log.foreign.mapping import Imported, Mapped
-from tsa_ctrl.log.foreign.names import listed
+from tsa_ctrl.log.foreign.names import Name, listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign, row_clock
 from tsa_ctrl.outputs import terminal
 from tsa_ctrl.settings import load
@@ -125,17 +125,15 @@ def understand(
         if name in answered:
             continue
         proposal = mapping.propose(table, name, {column.source for column in mapped})
-        remedy = "" if proposal else f"; give --column {name}=NAME|UNIT"
-        remedy += " or --rate HZ" if name == "t" else ""
+        remedy = "" if proposal else f"; {mapping.remedy_of(table, name)}"
         asked.append((f"none of the names {names} identifies {name} ({COLUMNS[name].doc}){remedy}", proposal))
         if proposal:
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
     _reject_long_format(table, mapped)
     if not file.column and (accept or asked):  # without another question, optional columns are only a note
-        for proposal in mapping.without_unit(table, mapped):
-            name, settings = mapping.parse_column(proposal)
-            mapped += mapping.resolve(table, {name: settings}, "proposal")
-            asked.append((f"the unit of {name} from '{settings.source}' is not stated", proposal))
+        for question, proposal in mapping.optional(table, mapped):
+            mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
+            asked.append((question, proposal))
     if any(not proposal for _, proposal in asked):
         return None, asked
     columns, note = mapping.take(table, mapped)
@@ -227,9 +225,14 @@ def show(done: Understood) -> None:
         view.add_row(column.name, column.source, column.unit, f"{column.scale:.6g}", low, high, unit)
     console.print(view)
     if done.left:
-        without = " ".join(f"--column '{proposal}'" for proposal in mapping.without_unit(done.table, done.mapped))
-        if without:
-            console.print(f"note: no unit is stated; in SI units, add {without}")
+        for question, proposal in mapping.optional(done.table, done.mapped):
+            console.print(f"note: {question}; to import it, add --column '{proposal}'", soft_wrap=True)
+        for source in mapping.forces(done.table, done.mapped):
+            proposal = f"--column 'tau_j={source}|{Name(source).unit}*R'"
+            console.print(
+                f"note: '{source}' is a force; to import it as joint torque, add {proposal}, where R is its lever arm",
+                soft_wrap=True,
+            )
         console.print(f"not imported: {listed(done.left)}")
 
 

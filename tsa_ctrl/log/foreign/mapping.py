@@ -25,7 +25,7 @@ from tsa_ctrl import outputs, settings
 from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import write_columns
-from tsa_ctrl.log.foreign.names import Name, listed
+from tsa_ctrl.log.foreign.names import ANGLE, CURRENT, SPEED, TORQUE, Name, listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable
 from tsa_ctrl.log.foreign.units import (
     DATE,
@@ -185,17 +185,45 @@ def identify(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> Identi
     return Identified(found, questions)
 
 
-def without_unit(table: ForeignTable, mapped: list[Mapped]) -> list[str]:
-    """Return a proposal for each column that a name identifies, but that is not imported because no unit is stated."""
+def optional(table: ForeignTable, mapped: list[Mapped]) -> list[tuple[str, str]]:
+    """Return a question and its proposal for each column that is not imported because unit or place are not stated.
+
+    Without a unit, a column is in SI. Without a place, it belongs to the side, motor or joint, that has no such column
+    yet. If both have none, it belongs to the joint in a log with a joint torque, and else to the motor. No place is
+    proposed if several names state the same quantity.
+    """
     have, used = {column.name for column in mapped}, {column.source for column in mapped}
-    found: dict[str, str] = {}
-    for source in table.names:
-        name = Name(source)
-        if source in used or len(name.columns) != 1 or name.columns & have or name.unit is not None or name.is_current:
+    names = [Name(source) for source in table.names if source not in used]
+    found: dict[str, tuple[str, str]] = {}
+    for name in names:
+        if len(name.columns) != 1 or name.columns & have or name.unit is not None or name.is_current:
             continue
         (column,) = name.columns
-        found.setdefault(column, f"{column}={source}|{COLUMNS[column].unit}")
+        found.setdefault(column, (f"the unit of {column} from '{name.source}' is not stated", _in_si(column, name)))
+    for quantity, stem in ((TORQUE, "tau"), (ANGLE, "q"), (SPEED, "omega")):
+        sides = ("j", "m") if "tau_j" in have | set(found) else ("m", "j")
+        column = next((f"{stem}_{side}" for side in sides if f"{stem}_{side}" not in have | set(found)), "")
+        fitting = [name for name in names if name.unplaced == quantity]
+        if (
+            column
+            and len(fitting) == 1
+            and not needs_scale(fitting[0].unit or COLUMNS[column].unit, COLUMNS[column].unit)
+        ):
+            question = f"'{fitting[0].source}' does not state motor or joint"
+            found[column] = question, _in_si(column, fitting[0])
     return list(found.values())
+
+
+def forces(table: ForeignTable, mapped: list[Mapped]) -> list[str]:
+    """Return the names of unused forces, from which a lever arm gives the joint torque; none in a log with it."""
+    if any(column.name == "tau_j" for column in mapped):
+        return []
+    used = {column.source for column in mapped}
+    return [source for source in table.names if source not in used and quantities_of(Name(source).unit or "") == {"N"}]
+
+
+def _in_si(column: str, name: Name) -> str:
+    return f"{column}={name.source}|{name.unit or COLUMNS[column].unit}"
 
 
 def _unit(name: Name, table: ForeignTable, column: str) -> str | None:
@@ -226,11 +254,12 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
     """Return the proposal for a column that no name determines, in the form of --column.
 
     Time is the first column that increases in every row and does not count the rows. The torque is the first remaining
-    column whose name and unit do not contradict it. A column without a unit is in SI.
+    column whose name is a torque, or else the first whose name and unit do not contradict it. A column without a unit
+    is in SI.
     """
     si = COLUMNS[missing].unit
-    for source in table.names:
-        name = Name(source)
+    for name in sorted(map(Name, table.names), key=lambda name: missing == "t" or name.unplaced != TORQUE):
+        source = name.source
         unit = name.unit or proposed_unit(table, source, missing)
         if source in used or not name.may_be(missing) or needs_scale(unit, si):
             continue
@@ -248,6 +277,20 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
         if finite.size and possible:
             return f"{missing}={source}|{unit}"
     return ""
+
+
+def remedy_of(table: ForeignTable, missing: str) -> str:
+    """Return how to give a column for which there is no proposal."""
+    if missing == "t":
+        return "give --column t=NAME|UNIT or --rate HZ"
+    names = [Name(source) for source in table.names]
+    for name in names:
+        if name.unplaced == CURRENT:
+            return f"give --column '{missing}={name.source}|{name.unit or 'A'}*K', where K is the torque constant"
+    for name in names:
+        if name.is_command:
+            return f"to use the commanded torque, give --column '{_in_si(missing, name)}'"
+    return f"give --column {missing}=NAME|UNIT"
 
 
 def proposed_unit(table: ForeignTable, source: str, column: str) -> str:

@@ -27,19 +27,20 @@ _PLACES = frozenset({MOTOR, JOINT, BODY})
 NO_CLOCK = "no clock"  # a duration instead of the time of a row
 
 _CLASSES: dict[str, str] = {
-    TORQUE: "torque drehmoment moment tau trq mom torq couple coppia par torsor binario",
+    TORQUE: "torque drehmoment moment tau trq mom torq effort couple coppia par torsor binario",
     CURRENT: "current strom iq isq amps ampere courant corrente corriente",
     ANGLE: "angle winkel position pos theta phi lage angolo angulo ángulo ângulo posizione posicion posición posição",
-    SPEED: "velocity speed geschwindigkeit winkelgeschwindigkeit drehzahl omega vel rpm qd dq vitesse "
+    SPEED: "velocity speed geschwindigkeit winkelgeschwindigkeit drehzahl omega vel rpm qd dq dtheta dphi vitesse "
     "velocita velocità velocidad velocidade",
     TEMPERATURE: "temperature temperatur temp température temperatura",
     BENDING: "bending biegung biegewinkel sheath",
     TIME: "time zeit timestamp zeitstempel clock uhrzeit temps tempo tiempo",
-    OTHER: "voltage spannung power leistung force kraft pressure druck energy energie frequency frequenz fieldcurrent",
-    MOTOR: "motor drive antrieb driver mot input actuator aktor aktuator eingang moteur motore actionneur attuatore "
-    "actuador atuador entrée entrada ingresso",
-    JOINT: "joint gelenk load output abtrieb jaw last articulation articolazione giunto articulacion articulación "
-    "articulação junta carico carga sortie uscita salida saída",
+    OTHER: "voltage spannung power leistung force kraft pressure druck energy energie frequency frequenz fieldcurrent "
+    "acceleration beschleunigung accel acc qdd ddq ddtheta ddphi",
+    MOTOR: "motor drive antrieb driver mot rotor input actuator aktor aktuator eingang moteur motore actionneur "
+    "attuatore actuador atuador entrée entrada ingresso",
+    JOINT: "joint gelenk load output abtrieb jaw last link external ext extern articulation articolazione giunto "
+    "articulacion articulación articulação junta carico carga sortie uscita salida saída",
     BODY: "hip knee ankle elbow shoulder wrist finger thumb huefte hüfte knie knöchel knoechel sprunggelenk kniegelenk "
     "hüftgelenk hueftgelenk ellenbogen ellbogen schulter handgelenk daumen "
     "genou ginocchio rodilla joelho hanche anca cadera quadril cheville caviglia tobillo tornozelo coude gomito codo",
@@ -57,7 +58,9 @@ VOCABULARY: dict[str, str] = {word: kind for kind, text in _CLASSES.items() for 
 # "m" and "j" directly after one of these are motor and joint.
 _SYMBOLS = frozenset({"tau", "q", "omega", "theta", "phi", "dq", "qd", "w", "trq", "iq"})
 _SHORT = {"q": ANGLE, "w": SPEED}  # a quantity only directly before a motor or joint word
-_FIRST = {"m": TORQUE, "n": SPEED, "i": CURRENT, "u": OTHER, "p": OTHER, "f": OTHER}  # the same at the start, or alone
+# The same at the start, or alone.
+_FIRST = {"m": TORQUE, "n": SPEED, "i": CURRENT, "u": OTHER, "p": OTHER, "f": OTHER, "q": ANGLE, "w": SPEED}
+_DERIVATIVES = {"dot": SPEED, "punkt": SPEED, "ddot": OTHER}  # after an angle
 _WHOLE = frozenset({"t", "s", "sec", "seconds"})  # time, as a whole name
 _PARTS = tuple(word for word, kind in VOCABULARY.items() if len(word) >= 3 and kind != NO_CLOCK)
 _MEASURED = {
@@ -90,6 +93,7 @@ def split_words(bare: str) -> list[str]:
     text = re.sub(r"(?i)(?<![a-z0-9])i_?s?_?q(?![a-z])", "iq", bare)
     text = re.sub(r"(?i)(?<![a-z0-9])i_s?_?d(?![a-z])", "fieldcurrent", text)
     text = re.sub(r"(?i)set[-_ ]point", "setpoint", text)
+    text = re.sub(r"(?i)(theta|phi|(?<![a-z])q)(d?dot)(?![a-z])", r"\1 \2", text)
     text = re.sub(r"(?i)(?:[×*]|(?<![a-z0-9])x) ?10+(?!\d)|(?<!\d)10+ ?[x×*]", " factor ", text)  # torque*1000
     text = re.sub(r"(?i)\bdes (motor|antrieb|gelenk|abtrieb|aktor|knie)e?s\b", r"\1", text)  # German genitive
     text = re.sub(r"(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])", " ", text)
@@ -106,11 +110,14 @@ def _kinds(words: list[str]) -> list[str]:
     """Return the class of each word, or "" for an unknown word."""
     kinds = [VOCABULARY.get(word, "") for word in words]
     for i, word in enumerate(words[1:], start=1):
-        if word in ("m", "j") and (words[i - 1] in _SYMBOLS or words[:i] == ["m"]):
+        if word in ("m", "j") and (words[i - 1] in {*_SYMBOLS, *_DERIVATIVES} or words[:i] == ["m"]):
             kinds[i] = MOTOR if word == "m" else JOINT
     for i, word in enumerate(words[:-1]):
         if word in _SHORT and kinds[i + 1] in (MOTOR, JOINT, BODY):
             kinds[i] = _SHORT[word]
+    for i, word in enumerate(words[1:], start=1):
+        if word in _DERIVATIVES and (kinds[i - 1] == ANGLE or words[i - 1] in _SHORT):
+            kinds[i - 1], kinds[i] = NEUTRAL, _DERIVATIVES[word]
     first = next((i for i, kind in enumerate(kinds) if kind != NEUTRAL), None)
     rest = [] if first is None else [i for i in range(first + 1, len(words)) if not words[i].isdigit()]
     place = next((kinds[i] for i in rest if kinds[i] not in (NEUTRAL, DESIRED, COMMANDED)), "")
@@ -121,6 +128,11 @@ def _kinds(words: list[str]) -> list[str]:
     if ranked and "current" in words and words.index("current") < ranked[0]:
         kinds[words.index("current")] = NEUTRAL
     return kinds
+
+
+def _words_and_kinds(bare: str) -> tuple[list[str], list[str]]:
+    words = split_words(bare)
+    return words, _kinds(words)
 
 
 def _columns(kinds: list[str]) -> frozenset[str]:
@@ -206,6 +218,25 @@ class Name:
     def is_current(self) -> bool:
         """Return True if the name is a current, which is a torque only with a scale in N*m per A."""
         return CURRENT in self.kinds and TORQUE not in self.kinds
+
+    @property
+    def unplaced(self) -> str | None:
+        """Return the quantity of a measured column whose name does not state motor or joint, or None.
+
+        All words of such a name are known: "position 1", but not "hand position".
+        """
+        kinds = {kind for word, kind in zip(*_words_and_kinds(self.bare), strict=True) if not word.isdigit()}
+        quantities = kinds - {NEUTRAL}
+        if self.columns or len(quantities) != 1:
+            return None
+        (quantity,) = quantities
+        return quantity if quantity in (TORQUE, CURRENT, ANGLE, SPEED) else None
+
+    @property
+    def is_command(self) -> bool:
+        """Return True if the name is a commanded or desired torque, and not the joint's."""
+        kinds = self.kinds
+        return TORQUE in kinds and bool(kinds & {DESIRED, COMMANDED}) and not kinds & {EXCLUDED, JOINT, BODY}
 
     @property
     def unknown(self) -> int:
