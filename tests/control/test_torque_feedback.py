@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.torque_feedback import LESS, MORE, TorqueFeedback
+from tsa_ctrl.control.torque_feedback import CREEP, FAST, LESS, MORE, TorqueFeedback
 
 PERIOD = 1e-3
 RATIO = 0.8  # r_M/r_J
@@ -92,13 +92,24 @@ def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
 
 
 def fed(
-    error: float, cycles: int = 1000, feedback: TorqueFeedback | None = None, limited: bool = False
+    error: float,
+    cycles: int = 1000,
+    feedback: TorqueFeedback | None = None,
+    limited: bool = False,
+    moving: bool = True,
 ) -> TorqueFeedback:
-    """Return the feedback after cycles in which the sensor of a moving joint shows `error` (N*m)."""
+    """Return the feedback after cycles in which the sensor shows `error` (N*m)."""
     found = feedback or TorqueFeedback(3.0, RATIO, PERIOD)
     for _ in range(cycles):
-        found.update(error, 1.0, False, True, False, limited, 0.0, LOOP, 0.0, LOOP)
+        found.update(error, 1.0, False, moving, False, limited, 0.0, LOOP, 0.0, LOOP)
     return found
+
+
+@pytest.mark.parametrize(("error", "faster"), [(-0.002, FAST), (-0.01, CREEP * LOOP / (6.0 * math.pi * RATIO * 0.01))])
+def test_missing_torque_of_a_resting_joint_is_added_faster_up_to_a_limit(error: float, faster: float) -> None:
+    moving, resting = (fed(error, 100, moving=moving).torque(1.0, LOOP, LOOP) for moving in (True, False))
+    assert resting / moving == pytest.approx(faster, rel=0.02)
+    assert fed(0.01, 100, moving=False).torque(1.0, LOOP, LOOP) == 0.0
 
 
 def test_a_sensor_that_shows_too_much_takes_back_a_part_only() -> None:

@@ -6,13 +6,15 @@ friction, ripple, an eccentric pulley. One integrator per direction removes it,
     dC/dt = k (tau_J* - tau_J) r_M/r_J
 
 A reversal therefore begins with the correction of the new direction. While the tendons stick, the joint torque does not
-follow the motor, and an integrator would wind up. Three rules apply to a joint at rest:
+follow the motor, and an integrator would wind up. Four rules apply to a joint at rest:
 
 * The error is used only while command and set-point are the largest since the last reversal. Below the largest command,
   no tendon slides. After a decrease of the set-point, more torque than desired remains, whatever the friction.
 * The correction decreases at most as fast as the rest of the command grows, because a motor that reverses only releases
   friction. A fade-in with too large a friction term therefore ends at the actual friction: the correction absorbs the
   growth.
+* The correction increases faster (`FAST`) on a joint that has rested since the last reversal, because tendons that
+  stick close no loop that could oscillate. `CREEP` limits the excess when they begin to slide.
 * A reversal that delivered too much torque reduces the next one directly. The integral of a stroke is kept in part
   (`KEPT`), because the inertia of the motor carries a reversal further than the same torque carries resting tendons.
 
@@ -34,6 +36,9 @@ LARGEST = 0.3  # of the friction torque; a larger error is a fault or a wrong di
 FARTHEST = 0.002  # of the friction torque; within this distance of the largest command, the tendons still slide
 MORE = 0.1  # of the friction torque: largest increase by the sensor, about the error of a calibration
 LESS = 0.25  # of the friction torque: largest reduction by the sensor, the usual error of a file
+# 1, and 1/s of the friction torque. The RMS errors of a sine of 20 mN*m, mean over 29 random rigs: FAST = 1: 9.8 mN*m,
+# 5: 8.4. A faster increase has no smaller errors on 12 of them, and larger ones of large signals.
+FAST, CREEP = 5.0, 0.5
 FORGET = 0.3  # s in which the correction fades without a sensor
 
 
@@ -152,6 +157,8 @@ class TorqueFeedback:
                 return
             if step * sigma < -growth or (fading and error * sigma < 0.0):
                 step = -growth * sigma
+        if self._rested and not fading and step * sigma > 0.0:
+            step *= max(1.0, min(FAST, CREEP * half_loop * self._period / abs(step)))
         if fading and (not self._rested or (step + self._corrections[side]) * sigma > 0.0):
             return
         self._correct(side, step, half_loop)
