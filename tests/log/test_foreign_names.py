@@ -48,6 +48,10 @@ CASES = [
     ("theta_dot_m", "omega_m", None), ("qdot_j", "omega_j", None), ("phi_punkt_Motor", "omega_m", None),
     ("theta_ddot_m", "", None), ("motor acceleration", "", None), ("ddq_m", "", None), ("joint.effort", "tau_j", None),
     ("tau_ext", "tau_j", None), ("link position [rad]", "q_j", "rad"), ("rotor_speed", "omega_m", None),
+    # letters
+    ("M_soll", "tau_j_des", None), ("th_m", "q_m", None), ("T_m [Nm]", "tau_m", "Nm"),
+    ("T_j", "tau_j temperature", None),
+    ("tau_in", "tau_m", None), ("q_out", "q_j", None), ("M_ist", "", None), ("motor_in", "", None),
     # time
     ("t_ms", "t", "ms"), ("s", "t", None), ("time (h:m:s)", "t", "h:m:s"), ("Clock [s]", "t", "s"),
     ("T [degC]", "", "degC"),
@@ -122,6 +126,7 @@ PLACES = [
     (["motor torque [Nm]", "joint torque [Nm]", "Winkel [deg]", "n"], {"q_j=Winkel [deg]|deg", "omega_j=n|rad/s"}),
     (["motor torque [Nm]", "torque", "angle"], {"tau_j=torque|N*m", "q_j=angle|rad"}),
     (["motor torque [Nm]", "q_m", "position"], {"q_j=position|rad"}),
+    (["motor torque [Nm]", "phi_ist [°]", "n_ist [1/min]"], {"q_m=phi_ist [°]|°", "omega_m=n_ist [1/min]|1/min"}),
     (["motor torque [Nm]", "q1", "q2", "hand position", "q_des", "speed limit"], set()),
 ]  # fmt: skip
 
@@ -139,13 +144,22 @@ def test_a_quantity_without_motor_or_joint_is_proposed_where_it_is_missing(
 @pytest.mark.parametrize(
     ("names", "remedy"),
     [
-        (["Angle (deg)", "Current (A)"], "give --column 'tau_m=Current (A)|A*K', where K is the torque constant"),
+        (["Angle (deg)", "Current (A)"], "give --column 'tau_m=Current (A)|A*K', where K is the torque in N*m per A"),
+        (
+            ["torque [0.1%]", "i [A]"],
+            "give --column 'tau_m=torque [0.1%]|0.1%*K', where K is the torque in N*m per 0.1%",
+        ),
         (["q_m", "tau_cmd"], "to use the commanded torque, give --column 'tau_m=tau_cmd|N*m'"),
         (["joint torque command", "x [V]"], "give --column tau_m=NAME|UNIT"),
     ],
 )
 def test_the_remedy_names_a_current_or_a_commanded_torque(names: list[str], remedy: str) -> None:
     assert mapping.remedy_of(table(names), "tau_m") == remedy
+
+
+def test_a_row_number_is_not_proposed_as_speed() -> None:
+    foreign = table(["motor torque [Nm]", "n"], n=["7", "8", "9"])
+    assert mapping.optional(foreign, mapping.resolve(foreign, mapping.identify(foreign, {}).columns, "")) == []
 
 
 def test_forces_are_named_in_a_log_without_joint_torque() -> None:

@@ -203,7 +203,7 @@ def optional(table: ForeignTable, mapped: list[Mapped]) -> list[tuple[str, str]]
     for quantity, stem in ((TORQUE, "tau"), (ANGLE, "q"), (SPEED, "omega")):
         sides = ("j", "m") if "tau_j" in have | set(found) else ("m", "j")
         column = next((f"{stem}_{side}" for side in sides if f"{stem}_{side}" not in have | set(found)), "")
-        fitting = [name for name in names if name.unplaced == quantity]
+        fitting = [name for name in names if name.unplaced == quantity and _is_measured(_finite(table, name.source))]
         if (
             column
             and len(fitting) == 1
@@ -265,15 +265,8 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
             continue
         if missing == "t" and table.is_date(source):
             return f"{missing}={source}|{DATE}"
-        try:
-            values = table.numbers(source)
-        except UsageError:
-            continue
-        finite = values[np.isfinite(values)]
-        if missing == "t":
-            possible = _is_clock(finite, stated=name.unit is not None)
-        else:  # a row number, or a time since 1970, is no torque
-            possible = not _counts_rows(finite) and not np.any(np.abs(finite) > EPOCH[0])
+        finite = _finite(table, source)
+        possible = _is_clock(finite, stated=name.unit is not None) if missing == "t" else _is_measured(finite)
         if finite.size and possible:
             return f"{missing}={source}|{unit}"
     return ""
@@ -284,9 +277,10 @@ def remedy_of(table: ForeignTable, missing: str) -> str:
     if missing == "t":
         return "give --column t=NAME|UNIT or --rate HZ"
     names = [Name(source) for source in table.names]
-    for name in names:
-        if name.unplaced == CURRENT:
-            return f"give --column '{missing}={name.source}|{name.unit or 'A'}*K', where K is the torque constant"
+    for name in sorted(names, key=lambda name: name.unplaced != TORQUE):
+        if name.unplaced in (TORQUE, CURRENT):
+            unit = name.unit or "A"
+            return f"give --column '{missing}={name.source}|{unit}*K', where K is the torque in N*m per {unit}"
     for name in names:
         if name.is_command:
             return f"to use the commanded torque, give --column '{_in_si(missing, name)}'"
@@ -301,15 +295,12 @@ def proposed_unit(table: ForeignTable, source: str, column: str) -> str:
     si = COLUMNS[column].unit
     if column != "t":
         return si
-    try:
-        values = table.numbers(source)
-    except UsageError:
-        return si
-    steps = np.diff(values[np.isfinite(values)])
+    values = _finite(table, source)
+    steps = np.diff(values)
     steps = steps[steps > 0.0]
     if not steps.size:
         return si
-    step, largest = float(np.median(steps)), float(np.nanmax(np.abs(values)))
+    step, largest = float(np.median(steps)), float(np.max(np.abs(values)))
     scales = {unit: scale_of(unit, "s") or 1.0 for unit in ("s", "ms", "us", "ns")}
     possible = [unit for unit, scale in scales.items() if SLOWEST <= 1.0 / (step * scale) <= FASTEST]
     since_1970 = [unit for unit in possible if EPOCH[0] < largest * scales[unit] < EPOCH[1]]
@@ -321,6 +312,20 @@ def proposed_unit(table: ForeignTable, source: str, column: str) -> str:
 def _is_clock(values: NDArray[np.float64], stated: bool) -> bool:
     """Return True if values increase in every row and, without a stated unit, do not count the rows."""
     return bool(np.all(np.diff(values) > 0)) and (stated or not _counts_rows(values))
+
+
+def _is_measured(values: NDArray[np.float64]) -> bool:
+    """Return True if values are no row numbers and no times since 1970."""
+    return not _counts_rows(values) and not bool(np.any(np.abs(values) > EPOCH[0]))
+
+
+def _finite(table: ForeignTable, source: str) -> NDArray[np.float64]:
+    """Return the finite values of a column; none if a cell is not a number."""
+    try:
+        values = table.numbers(source)
+    except UsageError:
+        return np.zeros(0)
+    return values[np.isfinite(values)]
 
 
 def _counts_rows(values: NDArray[np.float64]) -> bool:

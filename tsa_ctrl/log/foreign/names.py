@@ -55,10 +55,11 @@ _CLASSES: dict[str, str] = {
     NO_CLOCK: "cycle sample sampling step delay dead rise settling execution zyklus abtast tot",
 }
 VOCABULARY: dict[str, str] = {word: kind for kind, text in _CLASSES.items() for word in text.split()}
-# "m" and "j" directly after one of these are motor and joint.
-_SYMBOLS = frozenset({"tau", "q", "omega", "theta", "phi", "dq", "qd", "w", "trq", "iq"})
-_SHORT = {"q": ANGLE, "w": SPEED}  # a quantity only directly before a motor or joint word
-# The same at the start, or alone.
+# Places directly after one of these symbols.
+_SYMBOLS = frozenset({"tau", "q", "omega", "theta", "th", "phi", "dq", "qd", "w", "trq", "iq"})
+_LETTERS = {"m": MOTOR, "j": JOINT, "in": MOTOR, "out": JOINT}
+_SHORT = {"q": ANGLE, "th": ANGLE, "w": SPEED}  # a quantity only directly before a motor or joint word
+# The same at the start, or without another word that is known.
 _FIRST = {"m": TORQUE, "n": SPEED, "i": CURRENT, "u": OTHER, "p": OTHER, "f": OTHER, "q": ANGLE, "w": SPEED}
 _DERIVATIVES = {"dot": SPEED, "punkt": SPEED, "ddot": OTHER}  # after an angle
 _WHOLE = frozenset({"t", "s", "sec", "seconds"})  # time, as a whole name
@@ -110,8 +111,8 @@ def _kinds(words: list[str]) -> list[str]:
     """Return the class of each word, or "" for an unknown word."""
     kinds = [VOCABULARY.get(word, "") for word in words]
     for i, word in enumerate(words[1:], start=1):
-        if word in ("m", "j") and (words[i - 1] in {*_SYMBOLS, *_DERIVATIVES} or words[:i] == ["m"]):
-            kinds[i] = MOTOR if word == "m" else JOINT
+        if word in _LETTERS and (words[i - 1] in {*_SYMBOLS, *_DERIVATIVES} or words[:i] == ["m"]):
+            kinds[i] = _LETTERS[word]
     for i, word in enumerate(words[:-1]):
         if word in _SHORT and kinds[i + 1] in (MOTOR, JOINT, BODY):
             kinds[i] = _SHORT[word]
@@ -119,8 +120,9 @@ def _kinds(words: list[str]) -> list[str]:
         if word in _DERIVATIVES and (kinds[i - 1] == ANGLE or words[i - 1] in _SHORT):
             kinds[i - 1], kinds[i] = NEUTRAL, _DERIVATIVES[word]
     first = next((i for i, kind in enumerate(kinds) if kind != NEUTRAL), None)
-    rest = [] if first is None else [i for i in range(first + 1, len(words)) if not words[i].isdigit()]
-    place = next((kinds[i] for i in rest if kinds[i] not in (NEUTRAL, DESIRED, COMMANDED)), "")
+    following = [] if first is None else range(first + 1, len(words))
+    rest = [i for i in following if not words[i].isdigit() and kinds[i] not in (NEUTRAL, DESIRED, COMMANDED)]
+    place = kinds[rest[0]] if rest else ""
     if first is not None and words[first] in _FIRST and (not rest or place in _PLACES):
         kinds[first] = _FIRST[words[first]]
     # "current" in front of another quantity is the adjective: "current motor position".
@@ -286,7 +288,7 @@ def _fitting(bare: str, unit: str | None) -> frozenset[str]:
     """
     found = _fitting_by_words(bare, unit)
     if not found and (short := re.match(r"T(?![a-z])", bare)):
-        readings = [_fitting_by_words(quantity + " " + bare[short.end() :], unit) for quantity in (TORQUE, TEMPERATURE)]
+        readings = [_fitting_by_words(quantity + " " + bare[short.end() :], unit) for quantity in ("tau", TEMPERATURE)]
         found = readings[0] | readings[1] if readings[0] else found
     quantities = quantities_of(unit or "")
     kinds = _kinds([word for word in split_words(bare) if not word.isdigit()])
