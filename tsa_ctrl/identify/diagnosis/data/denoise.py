@@ -1,8 +1,8 @@
 """Remove most of the noise of a log's signals by zero-phase low-passes, which cut off where the noise floor begins.
 
 Angles and velocities are low-passed before they enter the model, because the sign of a noisy velocity is wrong near
-every standstill. The motor torque is hardly filtered. If a drive compensates friction, jumps at the reversals are
-nearly the only content of this torque.
+every standstill. The motor torque is not filtered. If a drive compensates friction, this torque jumps at the reversals,
+and the response of a filter to these jumps looks like a lag of the sensor.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tsa_ctrl.model.signals import Signals, low_pass
 
 MARGIN = 8.0  # ratio of spectral density to noise floor above which a frequency counts as motion
 SEGMENT = 4.0  # s, length of one periodogram
-SHARP = 100.0  # Hz, cut-off of the motor torque, which jumps at a reversal; also the highest cut-off of angles
+SHARP = 100.0  # Hz, highest cut-off of angles
 STANDSTILL = 0.05  # s at velocity 0 after which the joint is at standstill
 JUMP = 7.0  # standard deviations of the velocity noise: noise alone does not reach this
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0, in steps of its resolution
@@ -40,8 +40,6 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
     signals = log.signals()
     clean: dict[str, Any] = {}
     noise, error = 0.0, np.zeros(len(log))
-    if log.period * SHARP < 0.21:
-        clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)
     for angle, velocity in DERIVED:
         if velocity in log.derived:  # the same low-pass as for the angle: both reverse at the same time
             found = log.motion.smoothed(angle)

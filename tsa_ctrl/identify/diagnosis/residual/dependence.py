@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.diagnosis.criteria import DRAWS, FOLDS, LEAST_SHARE
+from tsa_ctrl.identify.diagnosis.criteria import DRAWS, FOLDS, LEAST_SHARE, ROUNDING
 from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
 from tsa_ctrl.model.functions import Array
 
@@ -39,6 +39,11 @@ class Finding:
     def shown(self) -> float:
         """Return the part of the mean square of the residual, for reports."""
         return self.share if self.of_residual is None else self.of_residual
+
+
+def is_rounding(residual: Array, target: Array) -> bool:
+    """Return True if a residual is so small a part of the torque that the digits of the numbers cause it."""
+    return float(np.mean(np.square(residual))) <= ROUNDING * float(np.mean(np.square(target)))
 
 
 def dependence(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.split import settled
-from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, is_rounding
 from tsa_ctrl.identify.three_errors import UNKNOWN, known_direction
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
@@ -33,8 +33,9 @@ FEWEST = 40  # least number of samples of a range in each half
 def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> Finding | None:
     """Return the finding for the signal on which the sliding error depends most.
 
-    The result is None if no dependence exceeds LEAST times the noise, or if there are too few samples. A sample counts
-    only if the denoised velocity also shows its direction. A wrong direction is an error of the log, not of the model.
+    The result is None if no dependence exceeds LEAST times the noise or rounding, or if there are too few samples. A
+    sample counts only if the denoised velocity also shows its direction. A wrong direction is an error of the log, not
+    of the model.
 
     Args:
         runs: the logs.
@@ -43,7 +44,8 @@ def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> F
     """
     known = [known_direction(run.raw) & _sure(run) for run in runs]
     rest = np.concatenate([each[slides] for each, slides in zip(residuals, known, strict=True)])
-    if noise <= 0.0 or len(rest) < 2 * FEWEST * RANGES:
+    target = np.concatenate([run.full_target[slides] for run, slides in zip(runs, known, strict=True)])
+    if noise <= 0.0 or len(rest) < 2 * FEWEST * RANGES or is_rounding(rest, target):
         return None
     signals: dict[str, list[Array]] = {"the time": [], "the joint angle": [], "the speed": [], "the load": []}
     ways, halves, start = [], [], 0.0

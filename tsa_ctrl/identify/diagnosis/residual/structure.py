@@ -22,7 +22,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast
 from tsa_ctrl.identify.diagnosis.residual import changes, features
 from tsa_ctrl.identify.diagnosis.residual.changes import BURST
-from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence, is_rounding
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
 
@@ -82,9 +82,12 @@ def error_criterion(problem: Problem, fitted: Fit, findings: Sequence[Finding]) 
 
 
 def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Finding]:
-    """Return the results of all tests of the residual of a fit."""
+    """Return the results of all tests of the residual of a fit; none if the residual is rounding, as in exact data."""
     frame = problem.frame
     predicted = problem.predicted(fitted.hypothesis.model(fitted.point))
+    told = problem.nuisance.told(len(frame)) & problem.mask
+    if told.any() and is_rounding((frame.target - predicted)[told], frame.target[told]):
+        return []
     sigma, load = features.direction_and_load(frame, predicted)
     families = features.families(frame, predicted, rng)
     families["time"] = features.time_family(frame, sigma, load)
@@ -93,7 +96,6 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     masked = {name: factor[problem.mask] for name, factor in factors.items()}
     dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
     noise = rng.standard_normal((problem.count, DRAWS))
-    told = problem.nuisance.told(len(frame)) & problem.mask
     rest = _interpolated(frame.target - predicted, told, frame.period)
     return [
         *dependences,
