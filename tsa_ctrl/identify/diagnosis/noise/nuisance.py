@@ -166,11 +166,13 @@ def _engaging(run: Run, model: Model) -> Array:
 
 def fast(frame: Frame, edge: float) -> list[Array]:
     """Return the motor torque of each run above `edge` Hz, without its steps, at the compute rate."""
-    out = []
-    for run in frame.runs:
-        level = _without_steps(run.signals.tau_m, run.signals.period)
-        out.append(np.asarray(level - low_pass(level, run.signals.period, edge)))
-    return out
+    return [fast_part(run.signals.tau_m, run.signals.period, edge) for run in frame.runs]
+
+
+def fast_part(y: Array, period: float, edge: float) -> Array:
+    """Return a torque (n,) with this period (s) above `edge` Hz, without its steps."""
+    level = _without_steps(y, period)
+    return np.asarray(level - low_pass(level, period, edge))
 
 
 def _without_steps(y: Array, period: float) -> Array:

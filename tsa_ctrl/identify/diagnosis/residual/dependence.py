@@ -62,7 +62,9 @@ def dependence(
     rest = residual - basis @ (basis.T @ residual)
     findings = []
     for what, family in columns.items():
-        free = orthonormal(family - basis @ (basis.T @ family), DISTINCT)
+        left = family - basis @ (basis.T @ family)
+        own = np.linalg.norm(left, axis=0) > DISTINCT * np.linalg.norm(family, axis=0)
+        free = orthonormal(left[:, own], DISTINCT)
         scaled = free * np.sqrt(len(rest) / max(free.shape[1], 1))
         draws = _drawn(int(blocks[-1]) + 1, free.shape[1], rng)
         share, score = _predictable(rest, scaled, blocks, draws)

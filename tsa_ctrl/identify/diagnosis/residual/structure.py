@@ -19,7 +19,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
-from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast
+from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast, fast_part
 from tsa_ctrl.identify.diagnosis.residual import changes, features
 from tsa_ctrl.identify.diagnosis.residual.changes import BURST
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence, is_rounding
@@ -91,7 +91,7 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     sigma, load = features.direction_and_load(frame, predicted)
     families = features.families(frame, predicted, rng)
     families["time"] = features.time_family(frame, sigma, load)
-    known, columns = _white(problem, fitted, families)
+    known, columns = _white(problem, fitted, predicted, families)
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
     masked = {name: factor[problem.mask] for name, factor in factors.items()}
     dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
@@ -106,21 +106,27 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     ]
 
 
-def _white(problem: Problem, fitted: Fit, families: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
+def _white(
+    problem: Problem, fitted: Fit, predicted: Array, families: Mapping[str, Array]
+) -> tuple[Array, dict[str, Array]]:
     """Return the columns of `_explained` and the columns (m, k) of each family, all white."""
-    return _explained(problem, fitted), {name: problem.whiten(family) for name, family in families.items()}
+    return _explained(problem, fitted, predicted), {name: problem.whiten(family) for name, family in families.items()}
 
 
-def _explained(problem: Problem, fitted: Fit) -> Array:
+def _explained(problem: Problem, fitted: Fit, predicted: Array) -> Array:
     """Return the columns that do not count as structure, (m, k), white.
 
     They are the gradients for all coordinates, including those held by a bound. If the model does not predict tau_m,
-    the fast parts of tau_m follow, which may be noise.
+    the fast parts of tau_m follow, which may be noise. If a drive compensates friction, tau_m has steps, and the
+    torque of the model has none. The fast parts of this torque therefore follow, too.
     """
     columns = [gradients(problem, fitted)]
     if problem.base.target != "tau_m":
         frame = problem.frame
-        columns.append(problem.whiten(np.column_stack([frame.stack(fast(frame, edge)) for edge in FASTEST])))
+        parts = [frame.stack(fast(frame, edge)) for edge in FASTEST]
+        for edge in FASTEST:
+            parts.append(np.concatenate([fast_part(predicted[part], frame.period, edge) for part in frame.slices]))
+        columns.append(problem.whiten(np.column_stack(parts)))
     return np.concatenate(columns, axis=1)
 
 
