@@ -1,8 +1,8 @@
 """Remove most of the noise of a log's signals by zero-phase low-passes, which cut off where the noise floor begins.
 
 Angles and velocities are low-passed before they enter the model, because the sign of a noisy velocity is wrong near
-every standstill. The motor torque is not filtered. If a drive compensates friction, this torque jumps at the reversals,
-and the response of a filter to these jumps looks like a lag of the sensor.
+every standstill. The motor torque is hardly filtered, and not at all near its steps. If a drive compensates friction,
+this torque jumps at the reversals, and the response of a filter to these jumps looks like a lag of the sensor.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from tsa_ctrl.model.signals import Signals, low_pass
 
 MARGIN = 8.0  # ratio of spectral density to noise floor above which a frequency counts as motion
 SEGMENT = 4.0  # s, length of one periodogram
-SHARP = 100.0  # Hz, highest cut-off of angles
+SHARP = 100.0  # Hz, cut-off of the motor torque; also the highest cut-off of angles
+STEEP = 3.0  # times the rate of change that is exceeded for a fifth of the time
+STEP_MARGIN = 0.04  # s, around a step, in which it is neither slow nor noise after the filter
 STANDSTILL = 0.05  # s at velocity 0 after which the joint is at standstill
 JUMP = 7.0  # standard deviations of the velocity noise: noise alone does not reach this
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0, in steps of its resolution
@@ -40,6 +42,9 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
     signals = log.signals()
     clean: dict[str, Any] = {}
     noise, error = 0.0, np.zeros(len(log))
+    if log.period * SHARP < 0.21:
+        steps = steps_of(signals.tau_m, log.period)
+        clean["tau_m"] = np.where(steps, signals.tau_m, low_pass(signals.tau_m, log.period, SHARP))
     for angle, velocity in DERIVED:
         if velocity in log.derived:  # the same low-pass as for the angle: both reverse at the same time
             found = log.motion.smoothed(angle)
@@ -63,6 +68,14 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
             smooth, error = _turned_once(smooth, column, log.period, noise, error)
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
+
+
+def steps_of(y: Array, period: float) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the samples near a step of a torque `y` (n,), where it changes much faster than usual."""
+    rate = np.abs(np.gradient(low_pass(y, period, LOWEST_CUTOFF)))
+    steep = rate > STEEP * np.quantile(rate, 0.8)
+    margin = round(STEP_MARGIN / period)
+    return np.asarray(np.convolve(steep, np.ones(2 * margin + 1), mode="same") > 0.5)
 
 
 def denoised_within(log: Dataset, band: float) -> tuple[dict[str, Array], tuple[float, Array] | None]:

@@ -7,7 +7,8 @@ velocity determines only to one sample. These columns are many but short, and ar
 
 The noise of the measured motor torque is a nuisance too. The coefficient of a noisy regressor is underestimated, and
 any effect that can replace it would be identified as a cause. The fast part of the motor torque is mostly noise, so it
-is projected out as well.
+is projected out as well. If a drive compensates friction, the motor torque has steps, near which its noise is unknown.
+The torque of the model has none then, so its fastest part, which contains no effect, is also projected out.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import erf
 
-from tsa_ctrl.identify.diagnosis.criteria import LOWEST_CUTOFF, REVERSAL, ROUNDING
+from tsa_ctrl.identify.diagnosis.criteria import REVERSAL, ROUNDING
+from tsa_ctrl.identify.diagnosis.data.denoise import steps_of
 from tsa_ctrl.identify.diagnosis.data.direction import intervals
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
@@ -45,8 +47,6 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 NOISE_FACTORS = (1.0, UNKNOWN)
 FAST = (0.5, 1.5, 6.0)  # Hz, edges above which the content of the motor torque may be noise
 FASTEST = (3.0, 12.0, 25.0)  # Hz, additional edges for tests that search only for structure
-STEEP = 3.0  # times the rate of change that is exceeded for a fifth of the time
-STEP_MARGIN = 0.04  # s, five score samples around a step, in which it is neither slow nor noise after the filter
 MOST_COLUMNS = 800  # the cost of a projection grows with its square; further moments share a column
 TAIL = 0.05  # share of the maximum of a moment after a slow sensor: smaller values are ignored
 
@@ -143,6 +143,8 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
         smooth += [
             [_late(run, part, model) for run, part in zip(frame.runs, fast(frame, e), strict=True)] for e in FAST
         ]
+        torques = [fast_part(predict(model, run.signals), run.signals.period, FAST[-1]) for run in frame.runs]
+        smooth.append([_late(run, part, model) for run, part in zip(frame.runs, torques, strict=True)])
     columns = np.column_stack([frame.stack(column) for column in smooth])
     moments = _moments(frame, patterns)
     if (lag := model.effects.get("torque_sensor_lag")) is not None:
@@ -176,12 +178,8 @@ def fast_part(y: Array, period: float, edge: float) -> Array:
 
 
 def _without_steps(y: Array, period: float) -> Array:
-    """Return `y` held constant where it changes much faster than usual, so that only slow changes and noise remain."""
-    rate = np.abs(np.gradient(low_pass(y, period, LOWEST_CUTOFF)))
-    steep = rate > STEEP * np.quantile(rate, 0.8)
-    margin = round(STEP_MARGIN / period)
-    steep = np.convolve(steep, np.ones(2 * margin + 1), mode="same") > 0.5
-    return np.asarray(y[0] + np.cumsum(np.where(steep, 0.0, np.diff(y, prepend=y[0]))))
+    """Return `y` held constant at its steps, so that only slow changes and noise remain."""
+    return np.asarray(y[0] + np.cumsum(np.where(steps_of(y, period), 0.0, np.diff(y, prepend=y[0]))))
 
 
 def _velocity(run: Run, model: Model) -> Array:
