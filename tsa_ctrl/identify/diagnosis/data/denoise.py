@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.criteria import LOWEST_CUTOFF, REVERSAL, VELOCITY_BAND
@@ -74,8 +75,7 @@ def steps_of(y: Array, period: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the samples near a step of a torque `y` (n,), where it changes much faster than usual."""
     rate = np.abs(np.gradient(low_pass(y, period, LOWEST_CUTOFF)))
     steep = rate > STEEP * np.quantile(rate, 0.8)
-    margin = round(STEP_MARGIN / period)
-    return np.asarray(np.convolve(steep, np.ones(2 * margin + 1), mode="same") > 0.5)
+    return np.asarray(maximum_filter1d(steep, 2 * round(STEP_MARGIN / period) + 1, mode="constant"))
 
 
 def denoised_within(log: Dataset, band: float) -> tuple[dict[str, Array], tuple[float, Array] | None]:

@@ -94,10 +94,13 @@ class HeldOut:
     def worthless(self) -> int | None:
         """Return the index of a cause that can be removed without loss on data not used in the fit, or None.
 
-        A single cause is worthless if the extended model is not better than the recalibrated one.
+        A single cause is worthless if it removes less than `LEAST_SHARE` of the error above the noise, both over all
+        samples and while sliding.
         """
         if len(self.lost) == 1:
-            return None if self.extended < self.recalibrated else 0
+            possible = self.recalibrated**2 - self.noise_floor**2
+            won = self.recalibrated**2 - self.extended**2
+            return None if won > max(LEAST_SHARE * possible, 0.0) or self.sliding_gain > LEAST_SHARE else 0
         return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= ROUNDING else None
 
 
