@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.criteria import ROUNDING
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem, orthonormal
@@ -65,7 +66,8 @@ def _noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
     full, spread = np.zeros(count), np.zeros((count, basis.shape[1]))
     full[problem.mask], spread[problem.mask] = rest, basis
     frame = problem.frame
-    return estimate(full, spread, problem.mask, frame.slices, frame.period, problem.noise)
+    least = ROUNDING * float(np.mean(np.square(frame.target)))
+    return estimate(full, spread, problem.mask, frame.slices, frame.period, problem.noise, least)
 
 
 def _saturated(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:

@@ -139,7 +139,13 @@ def white_noise(deviation: float) -> Noise:
 
 
 def estimate(
-    residual: Array, basis: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, prior: Noise
+    residual: Array,
+    basis: Array,
+    mask: NDArray[np.bool_],
+    slices: Sequence[slice],
+    period: float,
+    prior: Noise,
+    least: float,
 ) -> Noise:
     """Estimate the noise from the residual of stacked runs.
 
@@ -152,6 +158,7 @@ def estimate(
         slices: place of each run among the samples.
         period: period of the samples, s.
         prior: noise model with which the residual was whitened.
+        least: lower bound of the mean square, (N*m)^2: the rounding of the numbers, in exact data.
     """
     length = 1 << int(np.ceil(np.log2(2 * max(part.stop - part.start for part in slices))))
     frequency = np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64)
@@ -167,7 +174,7 @@ def estimate(
     waves = room / length  # independent pairs per frequency line after the fit
     ratio = _banded(frequency, power, room, waves)
     density: Array = _continued(frequency, ratio * _density(prior, frequency))
-    density = np.maximum(density, FLOOR * float(np.mean(density)))
+    density = np.maximum(density, max(FLOOR * float(np.mean(density)), least))
     covariance = np.fft.irfft(density)
     return _autoregressive(covariance, samples, period)
 
