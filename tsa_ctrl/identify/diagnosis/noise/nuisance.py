@@ -46,6 +46,8 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 # a false Stribeck effect.
 NOISE_FACTORS = (1.0, UNKNOWN)
 FAST = (0.5, 1.5, 6.0)  # Hz, edges above which the content of the motor torque may be noise
+# Hz, edge above which the model's torque is only noise; an edge of 0.5 Hz biased a viscous coefficient by 15 %
+OF_MODEL = 12.0
 FASTEST = (3.0, 12.0, 25.0)  # Hz, additional edges for tests that search only for structure
 MOST_COLUMNS = 800  # the cost of a projection grows with its square; further moments share a column
 TAIL = 0.05  # share of the maximum of a moment after a slow sensor: smaller values are ignored
@@ -143,7 +145,7 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
         smooth += [
             [_late(run, part, model) for run, part in zip(frame.runs, fast(frame, e), strict=True)] for e in FAST
         ]
-        torques = [fast_part(predict(model, run.signals), run.signals.period, FAST[-1]) for run in frame.runs]
+        torques = [fast_part(predict(model, run.signals), run.signals.period, OF_MODEL) for run in frame.runs]
         smooth.append([_late(run, part, model) for run, part in zip(frame.runs, torques, strict=True)])
     columns = np.column_stack([frame.stack(column) for column in smooth])
     moments = _moments(frame, patterns)
