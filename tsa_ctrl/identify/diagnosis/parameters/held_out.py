@@ -39,7 +39,7 @@ MOST_STRUCTURE = 1.0 - LEAST_SHARE  # share of the mean square: some of the resi
 # residual is by chance as large as the cause and similar to it.
 HARDLY_SHOWN = 0.5
 # Least share of the mean square above the noise that a single cause removes: half a percent of the RMS. On a healthy
-# rig, a delay of 0 removed 0.2 %. With 5 %, a measured cable drive has 36 instead of 11 mN*m at one load.
+# rig, a delay of 0 removed 0.2 %.
 LEAST_WON = 0.01
 
 
