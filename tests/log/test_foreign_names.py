@@ -44,8 +44,9 @@ CASES = [
     ("motor_torque_N_m", "tau_m", "N_m"), ("motor torque lbf in", "tau_m", "lbf in"), ("torque_nm", "", "nm"),
     ("joint_vel_deg_per_s", "omega_j", "deg_per_s"), ("joint_angle_rad_min", "", None),
     ("motor angle velocity [rpm]", "omega_m", "rpm"), ("joint1/motor/torque", "tau_m tau_j", None),
-    # derivatives, the terms of ROS and of robots
+    # derivatives, and names of ROS and of robots
     ("theta_dot_m", "omega_m", None), ("qdot_j", "omega_j", None), ("phi_punkt_Motor", "omega_m", None),
+    ("q_m_dot", "omega_m", None), ("theta_j_dot", "omega_j", None), ("q_j_ddot", "", None),
     ("theta_ddot_m", "", None), ("motor acceleration", "", None), ("ddq_m", "", None), ("joint.effort", "tau_j", None),
     ("tau_ext", "tau_j", None), ("link position [rad]", "q_j", "rad"), ("rotor_speed", "omega_m", None),
     # letters
@@ -154,7 +155,7 @@ def test_a_quantity_without_motor_or_joint_is_proposed_where_it_is_missing(
     ],
 )
 def test_the_remedy_names_a_current_or_a_commanded_torque(names: list[str], remedy: str) -> None:
-    assert mapping.remedy_of(table(names), "tau_m") == remedy
+    assert mapping.remedy_of(table(names), "tau_m", set()) == remedy
 
 
 def test_a_row_number_is_not_proposed_as_speed() -> None:

@@ -124,8 +124,9 @@ def understand(
     for name in ("t", "tau_m"):
         if name in answered:
             continue
-        proposal = mapping.propose(table, name, {column.source for column in mapped})
-        remedy = "" if proposal else f"; {mapping.remedy_of(table, name)}"
+        used = {column.source for column in mapped}
+        proposal = mapping.propose(table, name, used)
+        remedy = "" if proposal else f"; {mapping.remedy_of(table, name, used)}"
         asked.append((f"none of the names {names} identifies {name} ({COLUMNS[name].doc}){remedy}", proposal))
         if proposal:
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")

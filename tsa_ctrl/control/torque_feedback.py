@@ -36,8 +36,9 @@ LARGEST = 0.3  # of the friction torque; a larger error is a fault or a wrong di
 FARTHEST = 0.002  # of the friction torque; within this distance of the largest command, the tendons still slide
 MORE = 0.1  # of the friction torque: largest increase by the sensor, about the error of a calibration
 LESS = 0.25  # of the friction torque: largest reduction by the sensor, the usual error of a file
-# 1, and 1/s of the friction torque. The RMS errors of a sine of 20 mN*m, mean over 29 random rigs: FAST = 1: 9.8 mN*m,
-# 5: 8.4. A faster increase has no smaller errors on 12 of them, and larger ones of large signals.
+# Largest factor of the bandwidth (1), and the increase to which the factor is limited (1/s, of the friction torque).
+# The mean RMS error of a sine of 20 mN*m over 29 random rigs is 8.4 mN*m, and 9.8 with FAST = 1. On 12 of them,
+# FAST = 10 gains nothing.
 FAST, CREEP = 5.0, 0.5
 FORGET = 0.3  # s in which the correction fades without a sensor
 

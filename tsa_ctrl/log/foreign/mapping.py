@@ -186,7 +186,7 @@ def identify(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> Identi
 
 
 def optional(table: ForeignTable, mapped: list[Mapped]) -> list[tuple[str, str]]:
-    """Return a question and its proposal for each column that is not imported because unit or place are not stated.
+    """Return a question and its proposal for each column that is not imported because its unit or place is not stated.
 
     Without a unit, a column is in SI. Without a place, it belongs to the side, motor or joint, that has no such column
     yet. If both have none, it belongs to the joint in a log with a joint torque, and else to the motor. No place is
@@ -201,21 +201,20 @@ def optional(table: ForeignTable, mapped: list[Mapped]) -> list[tuple[str, str]]
         (column,) = name.columns
         found.setdefault(column, (f"the unit of {column} from '{name.source}' is not stated", _in_si(column, name)))
     for quantity, stem in ((TORQUE, "tau"), (ANGLE, "q"), (SPEED, "omega")):
-        sides = ("j", "m") if "tau_j" in have | set(found) else ("m", "j")
-        column = next((f"{stem}_{side}" for side in sides if f"{stem}_{side}" not in have | set(found)), "")
+        taken = have | set(found)
+        sides = ("j", "m") if "tau_j" in taken else ("m", "j")
+        free = [f"{stem}_{side}" for side in sides if f"{stem}_{side}" not in taken]
         fitting = [name for name in names if name.unplaced == quantity and _is_measured(_finite(table, name.source))]
-        if (
-            column
-            and len(fitting) == 1
-            and not needs_scale(fitting[0].unit or COLUMNS[column].unit, COLUMNS[column].unit)
-        ):
-            question = f"'{fitting[0].source}' does not state motor or joint"
-            found[column] = question, _in_si(column, fitting[0])
+        if not free or len(fitting) != 1:
+            continue
+        (name,), column = fitting, free[0]
+        if name.unit is None or not needs_scale(name.unit, COLUMNS[column].unit):
+            found[column] = f"'{name.source}' does not state motor or joint", _in_si(column, name)
     return list(found.values())
 
 
 def forces(table: ForeignTable, mapped: list[Mapped]) -> list[str]:
-    """Return the names of unused forces, from which a lever arm gives the joint torque; none in a log with it."""
+    """Return the names of unused forces, which a lever arm converts to the joint torque; empty if there is a torque."""
     if any(column.name == "tau_j" for column in mapped):
         return []
     used = {column.source for column in mapped}
@@ -272,11 +271,11 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
     return ""
 
 
-def remedy_of(table: ForeignTable, missing: str) -> str:
-    """Return how to give a column for which there is no proposal."""
+def remedy_of(table: ForeignTable, missing: str, used: Set[str]) -> str:
+    """Return the option with which the user states a column without a proposal; `used` are the mapped names."""
     if missing == "t":
         return "give --column t=NAME|UNIT or --rate HZ"
-    names = [Name(source) for source in table.names]
+    names = [Name(source) for source in table.names if source not in used]
     for name in sorted(names, key=lambda name: name.unplaced != TORQUE):
         if name.unplaced in (TORQUE, CURRENT):
             unit = name.unit or "A"
@@ -315,12 +314,12 @@ def _is_clock(values: NDArray[np.float64], stated: bool) -> bool:
 
 
 def _is_measured(values: NDArray[np.float64]) -> bool:
-    """Return True if values are no row numbers and no times since 1970."""
+    """Return False for row numbers and for times since 1970."""
     return not _counts_rows(values) and not bool(np.any(np.abs(values) > EPOCH[0]))
 
 
 def _finite(table: ForeignTable, source: str) -> NDArray[np.float64]:
-    """Return the finite values of a column; none if a cell is not a number."""
+    """Return the finite values of a column; empty if a cell is not a number."""
     try:
         values = table.numbers(source)
     except UsageError:

@@ -55,13 +55,13 @@ _CLASSES: dict[str, str] = {
     NO_CLOCK: "cycle sample sampling step delay dead rise settling execution zyklus abtast tot",
 }
 VOCABULARY: dict[str, str] = {word: kind for kind, text in _CLASSES.items() for word in text.split()}
-# Places directly after one of these symbols.
+# After one of these symbols, a word of `_LETTERS` is a place: tau_m, q_out.
 _SYMBOLS = frozenset({"tau", "q", "omega", "theta", "th", "phi", "dq", "qd", "w", "trq", "iq"})
 _LETTERS = {"m": MOTOR, "j": JOINT, "in": MOTOR, "out": JOINT}
 _SHORT = {"q": ANGLE, "th": ANGLE, "w": SPEED}  # a quantity only directly before a motor or joint word
-# The same at the start, or without another word that is known.
+# A quantity at the start, if a motor or joint word follows, or no word except neutral, desired and commanded.
 _FIRST = {"m": TORQUE, "n": SPEED, "i": CURRENT, "u": OTHER, "p": OTHER, "f": OTHER, "q": ANGLE, "w": SPEED}
-_DERIVATIVES = {"dot": SPEED, "punkt": SPEED, "ddot": OTHER}  # after an angle
+_DERIVATIVES = {"dot": SPEED, "punkt": SPEED, "ddot": OTHER}  # the quantity that an angle before them becomes
 _WHOLE = frozenset({"t", "s", "sec", "seconds"})  # time, as a whole name
 _PARTS = tuple(word for word, kind in VOCABULARY.items() if len(word) >= 3 and kind != NO_CLOCK)
 _MEASURED = {
@@ -116,9 +116,10 @@ def _kinds(words: list[str]) -> list[str]:
     for i, word in enumerate(words[:-1]):
         if word in _SHORT and kinds[i + 1] in (MOTOR, JOINT, BODY):
             kinds[i] = _SHORT[word]
-    for i, word in enumerate(words[1:], start=1):
-        if word in _DERIVATIVES and (kinds[i - 1] == ANGLE or words[i - 1] in _SHORT):
-            kinds[i - 1], kinds[i] = NEUTRAL, _DERIVATIVES[word]
+    for i, word in enumerate(words):
+        angles = [j for j in range(i) if kinds[j] == ANGLE or words[j] in _SHORT]
+        if word in _DERIVATIVES and angles:
+            kinds[angles[-1]], kinds[i] = NEUTRAL, _DERIVATIVES[word]
     first = next((i for i, kind in enumerate(kinds) if kind != NEUTRAL), None)
     following = [] if first is None else range(first + 1, len(words))
     rest = [i for i in following if not words[i].isdigit() and kinds[i] not in (NEUTRAL, DESIRED, COMMANDED)]
@@ -130,11 +131,6 @@ def _kinds(words: list[str]) -> list[str]:
     if ranked and "current" in words and words.index("current") < ranked[0]:
         kinds[words.index("current")] = NEUTRAL
     return kinds
-
-
-def _words_and_kinds(bare: str) -> tuple[list[str], list[str]]:
-    words = split_words(bare)
-    return words, _kinds(words)
 
 
 def _columns(kinds: list[str]) -> frozenset[str]:
@@ -227,7 +223,8 @@ class Name:
 
         All words of such a name are known: "position 1", but not "hand position".
         """
-        kinds = {kind for word, kind in zip(*_words_and_kinds(self.bare), strict=True) if not word.isdigit()}
+        words = split_words(self.bare)
+        kinds = {kind for word, kind in zip(words, _kinds(words), strict=True) if not word.isdigit()}
         quantities = kinds - {NEUTRAL}
         if self.columns or len(quantities) != 1:
             return None
@@ -236,7 +233,7 @@ class Name:
 
     @property
     def is_command(self) -> bool:
-        """Return True if the name is a commanded or desired torque, and not the joint's."""
+        """Return True if the name is a commanded or desired torque that is not stated to be the joint's."""
         kinds = self.kinds
         return TORQUE in kinds and bool(kinds & {DESIRED, COMMANDED}) and not kinds & {EXCLUDED, JOINT, BODY}
 

@@ -46,7 +46,7 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 # a false Stribeck effect.
 NOISE_FACTORS = (1.0, UNKNOWN)
 FAST = (0.5, 1.5, 6.0)  # Hz, edges above which the content of the motor torque may be noise
-# Hz, edge above which the model's torque is only noise; an edge of 0.5 Hz biased a viscous coefficient by 15 %
+# Hz, edge above which the model's torque is only noise. With the edges of FAST, a viscous coefficient was 18 % low
 OF_MODEL = 12.0
 FASTEST = (3.0, 12.0, 25.0)  # Hz, additional edges for tests that search only for structure
 MOST_COLUMNS = 800  # the cost of a projection grows with its square; further moments share a column

@@ -75,23 +75,23 @@ class HeldOut:
         best = min(names, key=lambda name: float(getattr(self, name)))
         return best, float(getattr(self, best))
 
+    def _gain(self, before: float, after: float) -> float:
+        """Return (before^2 - after^2) / (before^2 - floor^2); 0 if no gain is possible."""
+        possible = before**2 - self.noise_floor**2
+        return float((before**2 - after**2) / possible) if possible > 0.0 else 0.0
+
     @property
     def gain(self) -> float:
-        """Return (simplest^2 - extended^2) / (simplest^2 - floor^2); 0 if no gain is possible."""
-        simplest = self.simplest[1]
-        possible = simplest**2 - self.noise_floor**2
-        won = simplest**2 - self.extended**2
-        return float(won / possible) if possible > 0.0 else 0.0
+        """Return the gain of the extended model over the best reference."""
+        return self._gain(self.simplest[1], self.extended)
 
     @property
     def sliding_gain(self) -> float:
-        """Return the gain over the samples with a known direction; 0 if no gain is possible.
+        """Return the gain over the samples with a known direction.
 
         The reference is the better of the nominal and the recalibrated model.
         """
-        simplest, extended = self.sliding
-        possible = simplest**2 - self.noise_floor**2
-        return float((simplest**2 - extended**2) / possible) if possible > 0.0 else 0.0
+        return self._gain(*self.sliding)
 
     @property
     def worthless(self) -> int | None:
@@ -101,9 +101,8 @@ class HeldOut:
         samples and while sliding.
         """
         if len(self.lost) == 1:
-            possible = self.recalibrated**2 - self.noise_floor**2
-            won = self.recalibrated**2 - self.extended**2
-            return None if won > max(LEAST_WON * possible, 0.0) or self.sliding_gain > LEAST_WON else 0
+            gains = self._gain(self.recalibrated, self.extended), self.sliding_gain
+            return None if max(gains) > LEAST_WON else 0
         return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= ROUNDING else None
 
 

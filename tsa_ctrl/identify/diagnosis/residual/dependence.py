@@ -42,7 +42,7 @@ class Finding:
 
 
 def is_rounding(residual: Array, target: Array) -> bool:
-    """Return True if a residual is so small a part of the torque that the digits of the numbers cause it."""
+    """Return True if a residual is as small, relative to the torque, as the rounding of the numbers."""
     return float(np.mean(np.square(residual))) <= ROUNDING * float(np.mean(np.square(target)))
 
 
@@ -63,8 +63,8 @@ def dependence(
     findings = []
     for what, family in columns.items():
         left = family - basis @ (basis.T @ family)
-        own = np.linalg.norm(left, axis=0) > DISTINCT * np.linalg.norm(family, axis=0)
-        free = orthonormal(left[:, own], DISTINCT)
+        distinct = np.linalg.norm(left, axis=0) > DISTINCT * np.linalg.norm(family, axis=0)
+        free = orthonormal(left[:, distinct], DISTINCT)
         scaled = free * np.sqrt(len(rest) / max(free.shape[1], 1))
         draws = _drawn(int(blocks[-1]) + 1, free.shape[1], rng)
         share, score = _predictable(rest, scaled, blocks, draws)

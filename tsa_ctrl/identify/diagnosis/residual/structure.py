@@ -117,8 +117,8 @@ def _explained(problem: Problem, fitted: Fit, predicted: Array) -> Array:
     """Return the columns that do not count as structure, (m, k), white.
 
     They are the gradients for all coordinates, including those held by a bound. If the model does not predict tau_m,
-    the fast parts of tau_m follow, which may be noise. If a drive compensates friction, tau_m has steps, and the
-    torque of the model has none. The fast parts of this torque therefore follow, too.
+    the fast parts of tau_m follow, which may be noise, and those of the model's torque. If a drive compensates
+    friction, tau_m has steps, near which its noise is unknown, and the model's torque has none.
     """
     columns = [gradients(problem, fitted)]
     if problem.base.target != "tau_m":
